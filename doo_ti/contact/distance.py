@@ -11,7 +11,7 @@ Of a grid n is the gradient of a spline, of about unit length.
 import taichi as ti
 from taichi.lang.impl import expr_init
 
-from doo_ti.contact.distance_grid import HEADER, SIXTH
+from doo_ti.contact.distance_grid import HEADER
 from doo_ti.contact.obstacles import BOX, CAPSULE, CYLINDER, GRID, PLANE, RING
 from doo_ti.physics.algebra import absolute, applied, full, largest_of, row, transposed
 from doo_ti.physics.number import Layout, device_functions
@@ -19,6 +19,7 @@ from doo_ti.physics.tuples import chosen, dot, minus, plus, products, put_lane, 
 
 COLUMNS = Layout(point=3, axis_1=3, axis_2=3, axis_3=3, axes=("axis_1", 9), sizes=3, depth=1, friction=1)
 """Of an obstacle, in the order of :mod:`doo_ti.contact.obstacles`."""
+SIXTH = 1.0 / 6.0
 TINY = 1e-20  # below all squares of distances, against division by zero on an axis
 
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from io import BytesIO
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -22,7 +22,6 @@ from doo_ti.system.errors import InputError, real_array
 from doo_ti.system.files import read_content
 
 HEADER = 4  # numbers that a grid has in front of all coefficients: where its own begin, and how many there are along each axis
-SIXTH = 1.0 / 6.0
 MOST_POINTS = 8_000_000
 CHUNK = 20_000  # points whose distances are computed at a time
 FORMATS = (".stl", ".ply", ".obj")  # trimesh reads more: archives, which it unpacks, and files that name others
@@ -41,7 +40,7 @@ class DistanceGrid(Obstacle):
     All of the obstacle is inside the grid: at the border all values are positive, larger than a rod's diameter.
     """
 
-    values: np.ndarray
+    values: Annotated[np.ndarray, "X Y Z", float]
     spacing: np.ndarray
     origin: np.ndarray = (0.0, 0.0, 0.0)
     position: np.ndarray = (0.0, 0.0, 0.0)
@@ -69,8 +68,8 @@ class DistanceGrid(Obstacle):
         return cls(*sampled(mesh, spacing, margin), **pose)
 
     def _check(self) -> None:
-        values = np.array(real_array("DistanceGrid", "values", self.values, "give (X, Y, Z) mm"), dtype=np.float64)
-        if values.ndim != 3 or min(values.shape) < 2:
+        values = np.array(self.values, dtype=np.float64)
+        if min(values.shape) < 2:
             raise InputError("DistanceGrid", "values", f"shape {values.shape}", "give (X, Y, Z), two or more along each axis")
         if not np.isfinite(values).all():
             raise InputError("DistanceGrid", "values", "not finite", "give a distance in mm at every point")
@@ -89,16 +88,24 @@ class DistanceGrid(Obstacle):
         return min(float(np.take(self.values, [0, -1], axis=axis).min()) for axis in range(3))
 
     @cached_property
-    def coefficients(self) -> np.ndarray:
-        """(X+2, Y+2, Z+2) of the cubic B-splines, over the spacing; at the border second derivatives are zero."""
+    def spline(self):
+        """SciPy's spline of cubic B-splines through the values over the spacing, a function of the place in spacings; at the
+        border its second derivatives are zero."""
+        from scipy.interpolate import NdBSpline
+
         found = self.values / self.spacing[0]
         for axis in range(3):
-            found = np.moveaxis(_spline(np.moveaxis(found, axis, 0)), 0, axis)
-        return np.ascontiguousarray(found)
+            found = np.moveaxis(_coefficients(np.moveaxis(found, axis, 0)), 0, axis)
+        return NdBSpline(tuple(np.arange(-3.0, size + 1.0) for size in found.shape), np.ascontiguousarray(found), 3)
+
+    @property
+    def coefficients(self) -> np.ndarray:
+        """(X+2, Y+2, Z+2) of the B-splines."""
+        return self.spline.c
 
     def _with(self, values: dict[str, np.ndarray]) -> "DistanceGrid":
         other = super()._with(values)
-        other.__dict__["coefficients"] = self.coefficients
+        other.__dict__["spline"] = self.spline
         return other
 
     @cached_property
@@ -113,40 +120,16 @@ class DistanceGrid(Obstacle):
         place = local / spacing
         nearest = np.clip(place, 0.0, last)
         beyond = (place - nearest) * spacing
-        value, slope = self._interpolated(nearest)
-        value = value * spacing
+        value = self.spline(nearest) * spacing
+        slope = np.stack([self.spline(nearest, nu=along) for along in np.eye(3, dtype=int)], axis=-1)
         away = np.linalg.norm(beyond, axis=-1)
         whole = np.hypot(value, away)
         slant = (value[..., None] * slope * (beyond == 0) + beyond) / np.maximum(whole, 1e-300)[..., None]
         outside = away > 0
         return np.where(outside, whole, value), np.where(outside[..., None], slant, slope)
 
-    def _interpolated(self, place: np.ndarray) -> Distances:
-        """The spline (...) over the spacing and its derivatives (..., 3) at ``place`` (..., 3) in the grid, in spacings."""
-        cell = np.minimum(np.nan_to_num(place).astype(np.int64), np.array(self.values.shape) - 2)
-        weights, slopes = _weights(place - cell)
-        count_y, count_z = self.coefficients.shape[1:]
-        first = (cell[..., 0] * count_y + cell[..., 1]) * count_z + cell[..., 2]
-        flat = self.coefficients.reshape(-1)
-        value, slope = np.zeros(place.shape[:-1]), np.zeros(place.shape)
-        for i, j in np.ndindex(4, 4):
-            line = [flat[first + (i * count_y + j) * count_z + k] for k in range(4)]
-            here, ahead = (sum(c * along[k, ..., 2] for k, c in enumerate(line)) for along in (weights, slopes))
-            x, y, dx, dy = weights[i, ..., 0], weights[j, ..., 1], slopes[i, ..., 0], slopes[j, ..., 1]
-            value += here * x * y
-            for axis, part in enumerate((here * dx * y, here * x * dy, ahead * x * y)):
-                slope[..., axis] += part
-        return value, slope
 
-
-def _weights(t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(4, ...) the cubic B-splines of a cell at the place t in it, and their derivatives."""
-    u = 1.0 - t
-    return (np.stack([u**3, 3 * t**3 - 6 * t**2 + 4, 3 * u**3 - 6 * u**2 + 4, t**3]) * SIXTH,
-            0.5 * np.stack([-u**2, 3 * t**2 - 4 * t, 4 * u - 3 * u**2, t**2]))
-
-
-def _spline(values: np.ndarray) -> np.ndarray:
+def _coefficients(values: np.ndarray) -> np.ndarray:
     """(X+2, ...) coefficients of B-splines that interpolate values (X, ...), without second derivative at both ends."""
     from scipy.linalg import solve_banded
 

@@ -4,7 +4,7 @@ as pushers, tilting tables and turning drums (docs/contact.md). Axes: R rods, V 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -116,9 +116,9 @@ class Moving:
     """
 
     obstacle: Obstacle
-    shift: np.ndarray
-    rotation: np.ndarray | None = None
-    pivot: np.ndarray | None = None
+    shift: Annotated[np.ndarray, "T 3 | 1R T 3", float]
+    rotation: Annotated[np.ndarray | None, "S 3 3 | 1R S 3 3", float] = None
+    pivot: Annotated[np.ndarray | None, "3 | 1R 3", float] = None
     __repr__ = short_repr
 
     if TYPE_CHECKING:
@@ -126,14 +126,13 @@ class Moving:
                      pivot: ArrayLike | None = None) -> None: ...
 
     def __post_init__(self) -> None:
-        if not isinstance(self.obstacle, Obstacle) or isinstance(self.obstacle, Itself):
-            raise InputError("Moving", "obstacle", f"{type(self.obstacle).__name__}",
-                             "give Plane(...), Sphere(...) and the like")
+        if isinstance(self.obstacle, Itself):
+            raise InputError("Moving", "obstacle", "Itself", "give Plane(...), Sphere(...) and the like")
         own = np.mean(np.broadcast_arrays(*(getattr(self.obstacle, name) for name in self.obstacle.points)), axis=0)
-        shift = _rows("shift", self.shift, (3,), 1)
+        shift = _rows("shift", self.shift, 3)
         still = np.broadcast_to(np.eye(3), (1, shift.shape[1], 3, 3))
-        rotation = still if self.rotation is None else _rows("rotation", self.rotation, (3, 3), 1)
-        pivot = own if self.pivot is None else _rows("pivot", self.pivot, (3,), 0)
+        rotation = still if self.rotation is None else _rows("rotation", self.rotation, 4)
+        pivot = own if self.pivot is None else _rows("pivot", self.pivot, 2)
         require_rotation("Moving", rotation)
         if rotation.shape[1] != shift.shape[1] or shift.shape[1] < 2:
             raise InputError("Moving", "rotation", f"{rotation.shape[1]} instants beside {shift.shape[1]} of shift",
@@ -189,38 +188,16 @@ def about(pivot: np.ndarray, rotation: np.ndarray, shift: np.ndarray) -> np.ndar
     return shift + pivot - (rotation @ pivot[..., None])[..., 0]
 
 
-def _rows(name: str, value, shape: tuple[int, ...], instants: int) -> np.ndarray:
-    """A field as (R, T, *shape), or (R, *shape) where it has no ``instants``."""
-    lead = ("T",) * instants
-    wanted = f"give ({', '.join(map(str, (*lead, *shape)))}) or ({', '.join(map(str, ('R', *lead, *shape)))})"
-    found = np.array(real_array("Moving", name, value, wanted), dtype=np.float64)
-    least = instants + len(shape)
-    if found.shape[found.ndim - len(shape):] != shape or found.ndim not in (least, least + 1):
-        raise InputError("Moving", name, f"shape {found.shape}", wanted)
+def _rows(name: str, value: np.ndarray, axes: int) -> np.ndarray:
+    """A field with so many axes, the first of which are rods."""
+    found = np.array(value, dtype=np.float64)
     if not np.isfinite(found).all():
         raise InputError("Moving", name, "not finite", "give finite numbers")
-    return found if found.ndim > least else found[None]
+    return found if found.ndim == axes else found[None]
 
 
 PLACES = 8  # of an edge, both ends included, at which its gap is measured
 SHALLOW, MOST_STEPS = 0.5, 10_000  # of a radius; and the most steps that are taken for it
-
-
-def obstacle_list(source: str, obstacles: Iterable[Obstacle | Moving], moving: bool = False) -> list[Obstacle | Moving]:
-    """``obstacles`` as a list. Raises InputError, naming ``source``, for anything else, for a :class:`.Moving` one unless they
-    may be ``moving``, and for more than one :class:`.Itself`."""
-    if isinstance(obstacles, Obstacle | Moving | str) or not isinstance(obstacles, Iterable):
-        raise InputError(source, "obstacles", f"a {type(obstacles).__name__}", "give a list: [Plane(...), ...]")
-    found = list(obstacles)
-    for obstacle in found:
-        if isinstance(obstacle, Moving) and not moving:
-            raise InputError(source, "obstacles", f"a Moving {type(obstacle.obstacle).__name__}",
-                             "give it to simulate or predict_moving, or Moving.at(0) here")
-        if not isinstance(obstacle, Obstacle | Moving):
-            raise InputError(source, "obstacles", f"{type(obstacle).__name__}", "give Plane(...), Sphere(...) and the like")
-    if sum(isinstance(obstacle, Itself) for obstacle in found) > 1:
-        raise InputError(source, "obstacles", "Itself more than once", "give it once")
-    return found
 
 
 @typed
@@ -236,12 +213,12 @@ class Surroundings:
     radius: np.ndarray | float | None = None
 
     @classmethod
-    def checked(cls, source: str, obstacles: Iterable[Obstacle | Moving], radius: ArrayLike | None, count: int,
-                moving: bool = False) -> "Surroundings":
-        """The surroundings of ``count`` rods, some of them ``moving`` if they may. Raises InputError, naming ``source``, as
-        :func:`obstacle_list` does, where numbers of rows do not match, and for a ``radius`` that is missing or not positive.
-        """
-        obstacles = obstacle_list(source, obstacles, moving)
+    def checked(cls, source: str, obstacles: Sequence[Obstacle | Moving], radius: ArrayLike | None, count: int
+                ) -> "Surroundings":
+        """The surroundings of ``count`` rods. Raises InputError, naming ``source``, for more than one :class:`Itself`, where
+        numbers of rows do not match, and for a ``radius`` that is missing or not positive."""
+        if sum(isinstance(obstacle, Itself) for obstacle in obstacles) > 1:
+            raise InputError(source, "obstacles", "Itself more than once", "give it once")
         for obstacle in obstacles:
             if obstacle.count not in (1, count):
                 name = type(getattr(obstacle, "obstacle", obstacle)).__name__

@@ -71,7 +71,7 @@ def simulate(
     given = begin.configuration, material, grippers, dynamics
     direction = unit_up(up, "simulate")
     index = paired_rows(begin.configuration.count, material.count, *((None, None) if pairs is None else pairs), "simulate")
-    surroundings = Surroundings.checked("simulate", obstacles, radius, len(index[0]), moving=True)
+    surroundings = Surroundings.checked("simulate", obstacles, radius, len(index[0]))
     loads = _all_loads(springs, loads, len(index[0]), begin.configuration.edges + 1)
     many = loads is not None and loads.count > 1
 

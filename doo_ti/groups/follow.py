@@ -183,8 +183,6 @@ class MovingGroups:
 def _each(dynamics: Dynamics | Sequence[Dynamics], group: Group) -> list[Dynamics]:
     """G of them. Raises InputError for anything else."""
     found = [dynamics] * len(group.rods) if isinstance(dynamics, Dynamics) else dynamics
-    if not isinstance(found, Sequence) or not all(isinstance(own, Dynamics) for own in found):
-        raise InputError("follow_group", "dynamics", f"a {type(dynamics).__name__}", "give a Dynamics, or one for each rod")
     if len(found) != len(group.rods):
         raise InputError("follow_group", "dynamics", f"{len(found)} for {len(group.rods)} rods",
                          "give one, or one for each rod")

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 
 from doo_ti.rod.types import Clamps, Configuration, Material, Rows
 from doo_ti.system.arguments import typed
-from doo_ti.system.errors import InputError, real_array, require_whole
+from doo_ti.system.errors import InputError, real_array
 
 
 @typed
@@ -32,12 +32,6 @@ class Tie:
     weld: bool = False
 
     def __post_init__(self) -> None:
-        for name in ("first", "second"):
-            end = getattr(self, name)
-            if not isinstance(end, Sequence | np.ndarray) or isinstance(end, str) or len(end) != 2:
-                raise InputError("Tie", name, f"{end!r}", "give (rod, vertex)")
-            for value in end:
-                require_whole("Tie", name, value, -(2**31))
         if not 0 <= self.weight < np.inf:
             raise InputError("Tie", "weight", f"{self.weight}", "give a finite number from zero up")
 
@@ -63,15 +57,10 @@ class Group:
     ties: Sequence[Tie] = ()
 
     def __post_init__(self) -> None:
-        for name, kind in (("rods", Configuration), ("clamps", Clamps), ("ties", Tie), ("materials", Material)):
-            values = getattr(self, name)
-            if name == "materials" and isinstance(values, Material):
-                continue
-            if not isinstance(values, Sequence) or not all(isinstance(value, kind) for value in values):
-                raise InputError("Group", name, f"a {type(values).__name__}", f"give a list, each a {kind.__name__}")
-            if not len(self.rods):
-                raise InputError("Group", "rods", "none", "give one or more")
-            if name != "ties" and len(values) != len(self.rods):
+        if not len(self.rods):
+            raise InputError("Group", "rods", "none", "give one or more")
+        for name, values in (("clamps", self.clamps), ("materials", self._given)):
+            if len(values) != len(self.rods):
                 raise InputError("Group", name, f"{len(values)} for {len(self.rods)} rods", "give one for each rod of a group")
         rows = self.rods[0].count
         for rod, (start, material) in enumerate(zip(self.rods, self._given, strict=True)):

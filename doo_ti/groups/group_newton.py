@@ -1,8 +1,7 @@
 """Newton's method on all groups at once: its kernel and its launch (docs/groups.md)."""
 
 from dataclasses import dataclass
-from functools import cache
-from types import SimpleNamespace
+from functools import cache, partial
 
 import numpy as np
 import taichi as ti
@@ -12,7 +11,7 @@ from doo_ti.groups.group_elimination import GroupElimination
 from doo_ti.groups.ties import JointRest
 from doo_ti.physics.number import Number
 from doo_ti.relaxation import tables as of
-from doo_ti.relaxation.batch import laid_out, layout_for, policy_row
+from doo_ti.relaxation.batch import launch, layout_for, policy_row
 from doo_ti.relaxation.contact_table import ContactTable
 from doo_ti.relaxation.kernel_factory import INDEX1, INDEX2, TABLE1, TABLE3, loop_kernel
 from doo_ti.relaxation.newton import EXTERNAL, NEWTON, OBSTACLES, Newton, NewtonLoop
@@ -87,12 +86,10 @@ GROUPS = {
 
 @cache
 def group_kernel(number: Number, stride: int, block: int, has_grid: bool):
-    """(The kernel, compiled on first use, for one kind of number, with ``has_grid`` for grids, and :meth:`.Chain.items`.)"""
-    sweep = GroupElimination(number, stride, GroupContacts(number, has_grid, rub=True))
-    loop = NewtonLoop(sweep, sweep.functions)
+    """The kernel, compiled on first use, for one kind of number, with ``has_grid`` for grids."""
+    loop = NewtonLoop(GroupElimination(number, stride, GroupContacts(number, has_grid, rub=True)))
     loop.trace = LARGE_TRACE
-    given = NEWTON | EXTERNAL | OBSTACLES | GROUPS
-    return loop_kernel("newton_of_groups", number, given, loop.work, block, brief=True), sweep.items
+    return loop_kernel("newton_of_groups", number, NEWTON | EXTERNAL | OBSTACLES | GROUPS, loop, block, brief=True)
 
 
 @dataclass(frozen=True)
@@ -117,14 +114,11 @@ def run_groups(table: GroupTables, options: Newton, state: GroupState, previous:
     if not len(rows):
         return
     rods = of.rod_rows(rows, rows % len(table.material), rows, rows, rows % len(table.rest))
-    contact, joints = table.contact, JointRest(table.rest)
-    given = SimpleNamespace(rest_length=table.rest_length, kinds=contact.kinds, places=state.places, ties=table.ties,
-                            borders=table.borders)
-    kernel, threads, scratch, queue = laid_out(
-        layout_for(len(rows), 64, True), lambda *layout: group_kernel(*layout, contact.has_grid), given)
-    kernel(
-        table.start.reshape(-1), table.rest_length, table.clamp, table.material, rods, policy_row(table.up, options, 64),
-        threads, scratch, queue, state.frames.reshape(-1), state.results, joints.numbers(), joints.field(),
-        *contact.arguments(state.forces, options.gap_tolerance), int(table.touching), table.begins, table.ties,
-        table.borders, table.targets, table.free, table.burden, table.apart, state.places, state.tie_forces, previous,
-        state.touch, state.friction_work)
+    contact = table.contact
+    launch(layout_for(len(rows), 64, True), partial(group_kernel, has_grid=contact.has_grid),
+           start=table.start.reshape(-1), rest_length=table.rest_length, clamp=table.clamp, material=table.material, rods=rods,
+           policy=policy_row(table.up, options, 64), frames=state.frames.reshape(-1), results=state.results,
+           numbers=table.rest, field=JointRest().field(), **contact.arguments(state.forces, options.gap_tolerance),
+           touching=int(table.touching), begins=table.begins, ties=table.ties, borders=table.borders, targets=table.targets,
+           free=table.free, burden=table.burden, apart=table.apart, places=state.places, tie_forces=state.tie_forces,
+           previous=previous, touches=state.touch, works=state.friction_work)

@@ -15,6 +15,7 @@ from doo_ti.relaxation import tables as of
 from doo_ti.relaxation.bows import projectable
 from doo_ti.relaxation.clamp_table import INFEASIBLE, STRAIGHT, clamp_table
 from doo_ti.relaxation.contact_table import DEEPEST_STEP, contact_table, require_margin
+from doo_ti.relaxation.input_tables import along_rods
 from doo_ti.relaxation.loading import REFERENCE_LENGTH
 from doo_ti.rod.frames import conjugate, quaternion_product, vertices_from_quaternions
 from doo_ti.rod.types import Clamp, Clamps, Configuration, Material
@@ -50,10 +51,7 @@ class Member:
         fixed = self.held[:, 0] & ~away
         self.begin[fixed] = self.places[fixed, 0]
         self.loose = 1.0 - fixed
-        table = input_tables.material_table(material, start.edges)
-        along = table[:, of.STIFFNESS:].reshape(len(table), -1, of.STIFFNESS_COLUMNS)  # once, or edge by edge
-        along = np.broadcast_to(along, (len(table), start.edges, of.STIFFNESS_COLUMNS)).reshape(len(table), -1)
-        self.material = np.concatenate([table[:, : of.STIFFNESS], along], axis=1)
+        self.material = input_tables.material_table(material, start.edges, each_edge=True)
 
     @property
     def free(self) -> np.ndarray:
@@ -67,8 +65,8 @@ class Member:
     def stiffness(self) -> np.ndarray:
         """(N,) mm³ of the rod as a whole: of its joints one after the other, each bent its softer way, and at least what weight
         makes of it (:func:`.stiffness_scale`)."""
-        along = self.material[:, of.STIFFNESS:].reshape(len(self.material), -1, of.STIFFNESS_COLUMNS)
-        whole = self.lengths.sum(axis=1) / (self.lengths / _bending_range(along)[0]).sum(axis=1)
+        softest = input_tables.bending_range(along_rods(self.material))[0]
+        whole = self.lengths.sum(axis=1) / (self.lengths / softest).sum(axis=1)
         weight = self.material[:, of.WEIGHT] * self.clamp[:, of.HANGING] * self.clamp[:, of.TOTAL] / REFERENCE_LENGTH
         return np.maximum(whole, weight)
 
@@ -88,11 +86,6 @@ class Member:
         return clamped
 
 
-def _bending_range(along: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(-, E) each, the smaller and the larger bending stiffness of every edge of ``along`` (-, E, STIFFNESS_COLUMNS)."""
-    return input_tables.bending_range(along[..., of.BEND], along[..., of.BEND + 1], along[..., of.BEND + 2])
-
-
 def group_tables(group: Group, up: np.ndarray, obstacles, radius, contact: bool, moving: bool = False) -> GroupTables:
     """The tables of a group; with ``contact`` its rods touch each other and themselves, where ``radius`` is given. The radius
     of its contacts is that of the thinnest rod.
@@ -101,7 +94,7 @@ def group_tables(group: Group, up: np.ndarray, obstacles, radius, contact: bool,
     holds them.
     """
     bodies = [obstacle for obstacle in obstacles if not isinstance(obstacle, Itself)]
-    itself = next((obstacle for obstacle in obstacles if isinstance(obstacle, Itself)), Itself())
+    itself = [obstacle for obstacle in obstacles if isinstance(obstacle, Itself)] or [Itself()]
     members = []
     for number, parts in enumerate(zip(group.rods, group.each_material, group.clamps, strict=True)):
         try:
@@ -123,7 +116,7 @@ def group_tables(group: Group, up: np.ndarray, obstacles, radius, contact: bool,
         raise InputError("relax_group", "radius", "missing beside obstacles", "give the rods' radius in mm")
     radii = group.radii(1.0 if radius is None else radius)
     require_margin(bodies, radii.max())
-    around = Surroundings.checked("contact", [*bodies, itself], radii.min(axis=1), group.count)
+    around = Surroundings.checked("contact", [*bodies, *itself], radii.min(axis=1), group.count)
     table = contact_table(around, group.count, lengths.shape[1], clamp, np.arange(group.count))
     thicker = group.at_vertices(radii - table.radius[:, None])
     springs = np.zeros((*burden.shape[:2], 4))  # none
@@ -214,7 +207,7 @@ def _materials(group: Group, members: list[Member]) -> tuple[np.ndarray, np.ndar
     rows = max(len(member.material) for member in members)
     every = np.array([np.broadcast_to(member.material[:, : of.STIFFNESS], (rows, of.STIFFNESS)) for member in members])
     head = every.max(axis=0)
-    edges = [member.material[:, of.STIFFNESS:].reshape(len(member.material), -1, of.STIFFNESS_COLUMNS) for member in members]
+    edges = [along_rods(member.material) for member in members]
     head[:, of.SOFTEST] = every[..., of.SOFTEST].min(axis=0)
     head[:, of.ROUND] = 0.0
     pull = np.concatenate([np.repeat(member.weights, group.count // len(member.weights), axis=0) for member in members], axis=1)
@@ -234,15 +227,15 @@ def _materials(group: Group, members: list[Member]) -> tuple[np.ndarray, np.ndar
 def evened_group(table: GroupTables, most: float) -> tuple[GroupTables, np.ndarray]:
     """The same groups, each uneven rod's stiffness made even (:func:`.evened`), and (N,) bool of those that this changes."""
     material = table.material.copy()
-    along = material[:, of.STIFFNESS:].reshape(len(material), -1, of.STIFFNESS_COLUMNS)
+    along = along_rods(material)
     heads, changed = [], np.zeros(len(material), dtype=bool)
     ends = np.append(np.flatnonzero(table.begins), len(table.begins))
     for first, end in zip(np.append(0, ends[:-1] + 1), ends, strict=True):
         own = along[:, first:end]
-        head = material[:, : of.STIFFNESS].copy()
-        input_tables.put_extremes(head, _bending_range(own), own[..., of.TWIST])
-        even, uneven = input_tables.evened_materials(np.concatenate([head, own.reshape(len(own), -1)], axis=1), most)
-        own[...] = even[:, of.STIFFNESS:].reshape(own.shape)
+        rod = np.concatenate([material[:, : of.STIFFNESS], own.reshape(len(own), -1)], axis=1)
+        input_tables.put_extremes(rod)
+        even, uneven = input_tables.evened_materials(rod, most)
+        own[...] = along_rods(even)
         heads.append(even[:, : of.STIFFNESS])
         changed |= uneven
     for column, whole in ((of.LARGEST_BEND, np.max), (of.STIFFEST, np.max), (of.SOFTEST, np.min)):

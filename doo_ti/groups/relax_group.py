@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from doo_ti.contact.obstacles import Obstacle
-from doo_ti.contact.surroundings import Surroundings, obstacle_list
+from doo_ti.contact.surroundings import Surroundings
 from doo_ti.groups.group import Group
 from doo_ti.groups.group_newton import GroupState, GroupTables, run_groups
 from doo_ti.groups.group_tables import evened_group, group_tables, smallest_gap
@@ -117,14 +117,10 @@ def relax_group(group: Group, solver: Newton | None = None, *, up: ArrayLike | N
 def relaxed(group: Group, solver: Newton | None, up: ArrayLike | None, obstacles: Sequence[Obstacle], radius: ArrayLike | None,
             contact: bool, before: GroupSolution | None, motion=None) -> GroupSolution:
     """:func:`relax_group`, or the first moment or a time step of groups in ``motion`` (:class:`.MovingGroups`)."""
-    if not isinstance(group, Group):
-        raise InputError("relax_group", "group", f"a {type(group).__name__}", "give a Group")
-    if not isinstance(solver, Newton | None):
-        raise InputError("relax_group", "solver", f"{solver!r}", "give Newton() or Newton.careful()")
     with np.errstate(all="ignore"):  # a group that is not finite has a status; NumPy need not warn
         up = unit_up((0.0, 0.0, 1.0) if up is None else up, "relax_group")
-        table = group_tables(group if motion is None else motion.stiffened(group), up, obstacle_list("relax_group", obstacles),
-                             radius, contact, motion is not None and motion.moves)
+        table = group_tables(group if motion is None else motion.stiffened(group), up, obstacles, radius, contact,
+                             motion is not None and motion.moves)
         table = table if motion is None else motion.into(table)
         tie_forces = np.zeros((group.count, len(table.ties), 6)) if before is None else _forces(group, before)
         results, edges = np.zeros((group.count, of.LOADED_RESULTS)), table.start.shape[1]
@@ -166,7 +162,7 @@ def weights_at_vertices(table: GroupTables) -> np.ndarray:
 
 def _forces(group: Group, before: GroupSolution) -> np.ndarray:
     """(N, -, 3) forces of the kernel's ties in a solution. Raises InputError where that is of other groups."""
-    if not isinstance(before, GroupSolution) or before.tie_force.shape[:2] != (group.count, len(group.ties)) or (
+    if before.tie_force.shape[:2] != (group.count, len(group.ties)) or (
             before.end_force.shape[1] != len(group.rods)):
         raise InputError("relax_group", "before", f"{before!r}", f"give a solution of {group!r}")
     forces = np.zeros((group.count, len(group.ties) + 2 * len(group.rods), 6))

@@ -13,10 +13,8 @@ of the miss d. A first round with the same λ ends with λ ← λ + κ d; from t
 misses, for any κ.
 """
 
-from dataclasses import dataclass
 from typing import ClassVar
 
-import numpy as np
 import taichi as ti
 
 from doo_ti.physics.algebra import absolute, identity, largest_of
@@ -62,19 +60,11 @@ def group_items(edges, rods, ties, borders):
             + matrix_items(edges + 1 + borders))
 
 
-@dataclass(frozen=True)
 class JointRest(Nothing):
     """Rest curvature and twist, besides the material's, that damping draws the joints where edges begin towards
-    (docs/dynamics.md). They are read in the place that an external energy has, and have no energy by themselves.
+    (docs/dynamics.md). They are read in the place that an external energy has, and have no energy by themselves."""
 
-    rest  (1 or N, E, JOINT_ITEMS)
-    """
-
-    rest: np.ndarray
     layout: ClassVar[Layout] = JOINT
-
-    def numbers(self) -> np.ndarray:
-        return self.rest
 
     @staticmethod
     def functions(number) -> ExternalFunctions:

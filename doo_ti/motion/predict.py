@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from doo_ti.contact.obstacles import Obstacle
-from doo_ti.contact.surroundings import Moving, Surroundings, obstacle_list
+from doo_ti.contact.surroundings import Moving, Surroundings
 from doo_ti.dynamics.grippers import Grippers, refined_within_reach
 from doo_ti.dynamics.parameters import Dynamics, Stepping
 from doo_ti.dynamics.simulate import simulate
@@ -128,7 +128,7 @@ def predict(
     A rod that fails keeps that status at all later moments; the next interval begins at its last configuration. Raises
     InputError where numbers of rods and motions do not match.
     """
-    surroundings = Surroundings(obstacle_list("predict", obstacles), radius)
+    surroundings = Surroundings(obstacles, radius)
     if surroundings.rub:
         raise InputError("predict", "obstacles", "with friction, which depends on the way",
                          "give predict_moving with quasi-static steps, or obstacles without friction")
@@ -258,7 +258,7 @@ def predict_moving(
     """
     even = path.states(between)
     _, rods, (first, held, jumps) = begun(configuration, material, clamps, path, LARGEST_TURN, up, Newton(), "f64",
-                                         Surroundings(obstacle_list("predict_moving", obstacles, True), radius).at(0), loads)
+                                         Surroundings(obstacles, radius).at(0), loads)
     rows = np.arange(len(rods)) % clamps.count
     lengths = _of_motions(configuration.rest_length, clamps.count)
     grippers = refined_within_reach(grippers_along(path, held), between, lengths)

@@ -5,8 +5,8 @@ Scratch memory is allocated once per thread and reused, independent of the numbe
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from types import SimpleNamespace
-from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -16,7 +16,7 @@ from doo_ti.relaxation import tables as of
 from doo_ti.relaxation.external import Nothing
 from doo_ti.relaxation.loading import LANES, TRIPS
 from doo_ti.relaxation.newton_policy import CLOSING_DISTANCE
-from doo_ti.relaxation.tables import Tables, room, whole_start
+from doo_ti.relaxation.tables import Tables, room
 from doo_ti.rod.frames import vertices_from_quaternions
 from doo_ti.rod.types import Solution, Status
 from doo_ti.system import runtime
@@ -73,40 +73,32 @@ def pack_trips(bits: int) -> tuple[int, int]:
 
 @runtime.exclusive
 def _launch_newton(table: Tables, rods, options: newton.Newton, bits: int, frames, results, moving: bool = True) -> None:
-    """One launch over ``rods``, from the starts of the table or from ``frames``."""
-    contact = table.contact
-    # Rods out of reach of all obstacles are relaxed without them.
-    some_far = contact is not None and not contact.itself and not contact.near.all()
-    if some_far and not contact.near.any():
-        contact, table = None, replace(table, contact=None)
-    elif some_far:
-        near = contact.near[rods[:, of.RESULT_ROW]]
-        _launch_newton(replace(table, contact=None), rods[~near], options, bits, frames, results, moving)
-        rods = rods[near]
-    for isotropic, any_ends, part in table.by_kernel(rods):
-        _launch_kernel(table, isotropic, any_ends, part, policy_row(table.up, options, bits, moving), options, bits,
-                       frames, results)
+    """Launches over ``rods``, from the starts of the table or from ``frames``. Rods out of reach of all obstacles are relaxed
+    without them."""
+    near, policy = np.ones(len(rods), dtype=bool), policy_row(table.up, options, bits, moving)
+    if table.contact is not None and not table.contact.itself:
+        near = table.contact.near[rods[:, of.RESULT_ROW]]
+    for reaching, some in of.parted(rods, near):
+        own = table if reaching else replace(table, contact=None)
+        for isotropic, any_ends, part in own.by_kernel(some):
+            _launch_kernel(own, isotropic, any_ends, part, policy, options, bits, frames, results)
 
 
 def _launch_kernel(table: Tables, isotropic: bool, any_ends: bool, rods, policy: np.ndarray, options: newton.Newton,
                    bits: int, frames, results) -> None:
     """:func:`_launch_newton` over rods of one kernel."""
-    contact = table.contact
-    layout = layout_for(len(rods), bits, contact is not None and contact.itself)
+    contact, more, kind = table.contact, {}, None
     external = Nothing() if table.external is None and any_ends else table.external
-    kind = None if external is None else type(external)
-    more = () if external is None else (external.numbers(), external.field())
-    if contact is None:
-        given = SimpleNamespace(rest_length=table.rest_length)
-        launch = laid_out(layout, lambda *layout: newton.newton_kernel(*layout, isotropic, kind, any_ends), given)
-    else:
-        more += contact.arguments(contact.forces, options.gap_tolerance)
-        given = SimpleNamespace(rest_length=table.rest_length, kinds=contact.kinds)
-        launch = laid_out(layout, lambda *layout: newton.contact_kernel(
-            *layout, isotropic, kind, contact.has_grid, contact.itself), given)
-    kernel, threads, scratch, queue = launch
-    kernel(table.start.reshape(-1), table.rest_length, table.clamp, table.material, rods, policy, threads, scratch, queue,
-           frames.reshape(-1), results, *more)
+    if external is not None:
+        more, kind = {"numbers": external.numbers(), "field": external.field()}, type(external)
+    kernel = partial(newton.newton_kernel, isotropic=isotropic, external=kind, any_ends=any_ends)
+    if contact is not None:
+        more |= contact.arguments(contact.forces, options.gap_tolerance)
+        kernel = partial(newton.contact_kernel, isotropic=isotropic, external=kind, has_grid=contact.has_grid,
+                         itself=contact.itself)
+    launch(layout_for(len(rods), bits, contact is not None and contact.itself), kernel, start=table.start.reshape(-1),
+           rest_length=table.rest_length, clamp=table.clamp, material=table.material, rods=rods, policy=policy,
+           frames=frames.reshape(-1), results=results, **more)
 
 
 def policy_row(up: np.ndarray, options: newton.Newton, bits: int, moving: bool = True) -> np.ndarray:
@@ -125,18 +117,17 @@ def run_descent(table: Tables, options: descent.Descent, bits: int):
     """
     projection = newton.Newton(max_iterations=PROJECTIONS)
     closed, _ = run_newton(table, projection, 64, moving=False)
-    table = table.restarted(closed)
-    start = whole_start(table.start, table.clamp)
-    vertices = vertices_from_quaternions(np.zeros((len(start), 3)), start, table.rest_length)
-    vertices = np.where(table.released[:, None, None], vertices - vertices[:, -1:], vertices)
-    kernel, threads, scratch, queue = laid_out(
-        layout_for(len(table.rods), bits), descent.descent_kernel, SimpleNamespace(vertices=vertices))
+    start, outer = closed / np.linalg.norm(closed, axis=-1, keepdims=True), of.outer_edges(table.edges)
+    start[:, outer] = closed[:, outer]  # as clamps have them
+    lengths, index = table.rest_length, table.configuration_index
+    vertices = vertices_from_quaternions(np.zeros((len(start), 3)), start, lengths if len(lengths) == 1 else lengths[index])
+    vertices = np.where(table.released[index, None, None], vertices - vertices[:, -1:], vertices)
     frames = np.full((table.count, table.edges, 4), np.nan)
     results = np.tile(UNTOUCHED, (table.count, 1))
-    up = np.array(table.up, dtype=np.float64)
-    kernel(np.ascontiguousarray(vertices), np.ascontiguousarray(start), table.rest_length, table.clamp, table.material, up,
-           table.rods, options.tolerance, options.max_iterations, options.largest_move, threads, scratch, queue, frames,
-           results)
+    launch(layout_for(len(table.rods), bits), descent.descent_kernel, vertices=np.ascontiguousarray(vertices),
+           start=start, rest_length=lengths, clamp=table.clamp, material=table.material,
+           up=np.array(table.up, dtype=np.float64), rods=table.rods, tolerance=options.tolerance,
+           max_iterations=options.max_iterations, largest_move=options.largest_move, frames=frames, results=results)
     certificate = newton.Newton(tolerance=options.tolerance, max_iterations=1, first_shift=0.0, max_escapes=0)
     certified = np.tile(UNTOUCHED, (table.count, 1))
     finite = np.isfinite(frames[:, 0, 0])
@@ -150,17 +141,19 @@ def run_descent(table: Tables, options: descent.Descent, bits: int):
     return frames, certified
 
 
-def layout_for(rods: int, bits: int, alone: bool = False, width: int | None = None) -> tuple[Number, int, int, int]:
+def layout_for(rods: int, bits: int, alone: bool = False, width: int | None = None, most: int = MOST_THREADS
+               ) -> tuple[Number, int, int, int]:
     """(kind of number, threads, stride, block) that suit the architecture Taichi runs on; ``alone``: rods that take long enough
-    for a few of them to be worth a thread each; ``width``: of packs on a CPU, where they are not to be the widest."""
+    for a few of them to be worth a thread each; ``width``: of packs on a CPU, where they are not to be the widest; ``most``:
+    threads on a GPU."""
     if runtime.start() == "cpu":
         widest = 1 if alone and rods <= 2 * runtime.thread_count() else 16 if bits == 32 else 8
         number = Number(width or widest, bits)
         return number, max(1, min(runtime.thread_count(), -(-rods // number.width))), 1, 1
-    return layout_of_gpu(rods, bits)
+    return layout_of_gpu(rods, bits, most)
 
 
-def layout_of_gpu(rods: int, bits: int, most: int = MOST_THREADS) -> tuple[Number, int, int, int]:
+def layout_of_gpu(rods: int, bits: int, most: int) -> tuple[Number, int, int, int]:
     """:func:`layout_for` on a GPU: a thread for each rod, at most ``most``."""
     threads, stride = min(max(rods, 1), most), BLOCK
     while stride < threads:
@@ -168,31 +161,22 @@ def layout_of_gpu(rods: int, bits: int, most: int = MOST_THREADS) -> tuple[Numbe
     return Number(1, bits), threads, stride, BLOCK
 
 
-class Launch(NamedTuple):
-    """What a launch needs besides tables: the kernel, its threads, scratch for all of them, and the queue, all zero (a NumPy
-    array, because filling a Taichi array takes a launch)."""
+def launch(layout: tuple[Number, int, int, int], factory: Callable, **given) -> None:
+    """Run a kernel in that ``layout`` (:func:`layout_for`), on as many of its threads as have numbers that 32 bits can count.
 
-    kernel: Callable
-    threads: int
-    scratch: Any
-    queue: np.ndarray
-
-
-def laid_out(layout: tuple[Number, int, int, int], factory: Callable, given: SimpleNamespace) -> Launch:
-    """A launch in that ``layout`` (:func:`layout_for`), of as many of its threads as have numbers that 32 bits can count.
-
-    factory  makes of (number, stride, block) the kernel and a function that says how many numbers of scratch a thread needs
-    given    the arrays of the kernel whose shapes that function reads
+    factory  makes it of (number, stride, block); the ``items`` of its loop are the numbers of scratch that a thread needs
+    given    its arguments but for the threads, scratch for all of them, and the queue
     """
     number, threads, stride, block = layout
-    kernel, items = factory(number, stride, block)
-    size = items(given)
+    kernel = factory(number, stride, block)
+    size = kernel.loop.items(SimpleNamespace(**given))
     most = max(1, of.MOST_NUMBERS // size)
     threads = min(threads, most)
     if stride > most:
         stride = most
-        kernel, _ = factory(number, stride, block)
-    # Places of the lanes' rods; motions also have their steps.
+        kernel = factory(number, stride, block)
+    # Places of the lanes' rods; motions also have their steps. (A NumPy array: filling a Taichi array takes a launch.)
     queue = np.zeros(LANES + 2 * threads * number.width, dtype=np.int32)
     _last[number.bits] = number, queue
-    return Launch(kernel, threads, runtime.array_for(number, max(threads, stride) * size, number.type), queue)
+    scratch = runtime.array_for(number, max(threads, stride) * size, number.type)
+    kernel(threads=threads, scratch=scratch, queue=queue, **given)

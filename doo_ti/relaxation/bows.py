@@ -6,8 +6,7 @@ which they pass through none either, brings them the rest of the way.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from functools import cache, cached_property
+from functools import cache
 
 import numpy as np
 import taichi as ti
@@ -152,7 +151,7 @@ ARGUMENTS = {
 @cache
 def bow_kernel(has_grid: bool, block: int):
     """The kernel, for grids where ``has_grid``; ``block`` as of :func:`.loop_kernel`."""
-    return loop_kernel("choose_bows", Number(1, 32), ARGUMENTS, BowSearch(has_grid).work, block)
+    return loop_kernel("choose_bows", Number(1, 32), ARGUMENTS, BowSearch(has_grid), block)
 
 
 DOWN, SIDEWAYS, UPRIGHT = (False, 1.0), ((True, 1.0), (True, -1.0)), (False, -1.0)
@@ -183,22 +182,22 @@ def slope_of_chord(share: np.ndarray) -> np.ndarray:
     return np.minimum(2 * np.sqrt(np.maximum(u, 0.0)), STEEPEST)
 
 
-@dataclass(frozen=True)
 class Straight:
-    """N straight rods that need slack: their frames ``whole`` (N, E, 4), and what the kernel is given of them (ARGUMENTS)."""
+    """N straight rods that need slack: their frames ``whole`` (N, E, 4), and what the kernel is given of them (ARGUMENTS).
 
-    whole: np.ndarray
-    lengths: np.ndarray
-    anchor: np.ndarray
-    axis: np.ndarray
-    slope: np.ndarray
-    place: np.ndarray
-    free: np.ndarray
+    Edges may tilt where ``free`` (N, E) is one, and the chord is to become that ``share`` (N,) of what it is. The first bow is
+    against ``up``, or towards m1 where the line is upright.
+    """
 
-    @cached_property
-    def tangents(self) -> np.ndarray:
-        """(N, E, 3)."""
-        return tangent_from_quaternion(self.whole)
+    def __init__(self, whole, lengths, anchor, free, share, up):
+        self.whole, self.lengths, self.anchor, self.free = whole, lengths, anchor, free
+        self.tangents, self.slope = tangent_from_quaternion(whole), slope_of_chord(share)
+        middle = matrix_from_quaternion(whole[:, whole.shape[1] // 2])
+        axis = np.cross(-up, middle[..., 0])
+        upright = np.linalg.norm(axis, axis=-1, keepdims=True) < STEEP
+        axis = np.where(upright, middle[..., 2], axis)
+        self.axis = -axis / np.linalg.norm(axis, axis=-1, keepdims=True)
+        self.place = (np.cumsum(free, axis=1) - 0.5) / free.sum(axis=1, keepdims=True)
 
     def bowed(self, bows: np.ndarray) -> np.ndarray:
         """(N, E, 4) frames of a bow each (N, TRY_COLUMNS), its slope the one that closes the rod, or less."""
@@ -209,18 +208,6 @@ class Straight:
         angle = slope * np.cos(np.pi * half_waves * self.place) * self.free
         turn = quaternion_about(np.broadcast_to(axis[:, None], (*angle.shape, 3)), angle)
         return quaternion_product(turn, self.whole)
-
-
-def straight_rods(whole, lengths, anchor, tilting, share, up) -> Straight:
-    """Those with these frames (N, E, 4), whose edges may tilt where ``tilting`` (N, E) is one, and whose chord is to become
-    that ``share`` (N,) of what it is. Their first bow is against ``up``, or towards m1 where the line is upright."""
-    middle = matrix_from_quaternion(whole[:, whole.shape[1] // 2])
-    axis = np.cross(-up, middle[..., 0])
-    upright = np.linalg.norm(axis, axis=-1, keepdims=True) < STEEP
-    axis = np.where(upright, middle[..., 2], axis)
-    axis /= np.linalg.norm(axis, axis=-1, keepdims=True)
-    place = (np.cumsum(tilting, axis=1) - 0.5) / tilting.sum(axis=1, keepdims=True)
-    return Straight(whole, lengths, anchor, -axis, slope_of_chord(share), place, tilting)
 
 
 @runtime.exclusive
@@ -240,11 +227,11 @@ def bowed_among(rods: Straight, obstacles: Sequence[Obstacle], beside_others: bo
     chosen = np.full(len(rods.whole), NONE, dtype=np.int32)
     if obstacles:
         kinds, grids = grid_table(obstacles)
-        single = (np.ascontiguousarray(value, dtype=np.float32) for value in (
-            rods.anchor, rods.tangents, rods.axis, rods.lengths, rods.place, rods.free, rods.slope, tries,
-            obstacle_table(obstacles).reshape(-1)))
+        given = {name: getattr(rods, name) for name in ("anchor", "tangents", "axis", "lengths", "place", "free", "slope")}
+        given |= {"tries": tries, "obstacles": obstacle_table(obstacles).reshape(-1)}
+        single = {name: np.ascontiguousarray(value, dtype=np.float32) for name, value in given.items()}
         kernel = bow_kernel(bool((kinds >= GRID).any()), 1 if runtime.start() == "cpu" else 64)
-        kernel(*single, kinds, grids, min(len(chosen), MOST_THREADS), chosen)
+        kernel(**single, kinds=kinds, grids=grids, threads=min(len(chosen), MOST_THREADS), chosen=chosen)
     return rods.bowed(tries[np.where(chosen == NONE, 0, chosen)])
 
 
@@ -288,7 +275,7 @@ def _bowed(start, lengths, clamp, rows, up, obstacles: Sequence[Obstacle], index
     straight &= np.isin(rows, used)
     rows, share = rows[straight], (span / reach)[straight]
     anchor = clamp[rows, of.ANCHOR : of.ANCHOR + 3]
-    rods = straight_rods(whole[straight], own[straight], anchor, tilting[straight], share, up)
+    rods = Straight(whole[straight], own[straight], anchor, tilting[straight], share, up)
     first = firsts[np.searchsorted(used, rows)]
     frames = bowed_among(rods, [obstacle.take(first) for obstacle in obstacles], beside_others)
     return _changed(start, clamp, rows, frames)

@@ -74,7 +74,7 @@ def held_frame(kind, frame, own):
 class ClampReader:
     """Fills the table of clamps. ``tables`` is the record of the kernel's arrays."""
 
-    def read_share(self, tables, thread):
+    def work(self, tables, thread):
         """Rows of one thread."""
         zero = ti.cast(0.0, ti.f64)
         size = record(total=zero, longest=zero, shortest_pair=zero, hanging=zero, standing=zero)
@@ -197,7 +197,7 @@ ARGUMENTS = {
 @cache
 def clamp_kernel(serial: bool, block: int):
     """The kernel, compiled on first use; ``serial`` and ``block`` as of :func:`.loop_kernel`."""
-    return loop_kernel("read_clamps", Number(1, 64), ARGUMENTS, ClampReader().read_share, block, serial)
+    return loop_kernel("read_clamps", Number(1, 64), ARGUMENTS, ClampReader(), block, serial)
 
 
 @runtime.exclusive
@@ -222,7 +222,8 @@ def clamp_table(configuration: Configuration, lengths: np.ndarray, kinds: np.nda
         configuration.start, clamps.start_position, clamps.end_position, clamps.start_frame.reshape(count, 9),
         clamps.end_frame.reshape(count, 9)], axis=1, dtype=np.float64)
     start, lengths = (np.ascontiguousarray(array, dtype=np.float64) for array in (configuration.quaternions, lengths))
-    clamp_kernel(serial, 1 if on_cpu else 64)(states, given, start, lengths, threads, table)
+    clamp_kernel(serial, 1 if on_cpu else 64)(
+        states=states, given=given, start=start, rest_length=lengths, threads=threads, clamp=table)
     _check_frames(states[:, OF_FRAMES], clamps)
     return table, states[:, OF_REACH]
 

@@ -248,8 +248,7 @@ class ContactEnergy(ContactPlaces):
             if rod.contacts.lane(0).some_expecting > 0.5:
                 stiffness = rod.contacts.stiffness
                 expected = counts & ~pushes & (before > 0.5) & (rod.contacts.expecting > 0.5)
-                pushed.push = ti.select(expected, force - stiffness * gap, pushed.push)
-                pushed.stiffness = ti.select(expected, stiffness, pushed.stiffness)
+                choose(pushed, expected, push=force - stiffness * gap, stiffness=stiffness)
                 choose(rod.contacts, expected, expected=zero + 1.0)
 
     def add_between(self, rod, contact, edge, seen, acts):

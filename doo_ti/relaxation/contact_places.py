@@ -217,9 +217,8 @@ class ContactPlaces:
             aside = s[0] - 0.5
             slope = dot(seen.normal, edge) + 2.0 * even * aside
             bend = ti.max(dot(edge, applied(full(seen.curvature), edge)), zero) + 2.0 * even
-            choose(found, here, s=s[0], value=self.clearance(rod, index, seen.value) + even * aside * aside, bend=bend)
-            found.normal = chosen(here, seen.normal, found.normal)
-            found.curvature = chosen(here, seen.curvature, found.curvature)
+            choose(found, here, s=s[0], value=self.clearance(rod, index, seen.value) + even * aside * aside, bend=bend,
+                   normal=seen.normal, curvature=seen.curvature)
             low, high = ti.select(slope < 0.0, s[0], low), ti.select(slope < 0.0, high, s[0])
             step = s[0] - slope / bend
             converges = (step >= low) & (step <= high) & (absolute(step - s[0]) <= 0.5 * longest)

@@ -58,7 +58,7 @@ class ContactSensitivity(SensitivityColumns, LoadedElimination):
     def __init__(self, stride: int, has_grid: bool):
         number = Number(1, 64)
         super().__init__(number, False, stride, Kept, True, ContactsAtRest(number, has_grid))
-        self.loading = Loading(self, self.functions, in_millimetres=True)
+        self.loading = Loading(self, in_millimetres=True)
 
     @picked
     def completed(self, given, thread):

@@ -211,10 +211,11 @@ class ContactTable:
         """Whether an obstacle is a grid."""
         return bool((self.kinds >= GRID).any())
 
-    def arguments(self, forces: np.ndarray, tolerance: float | None, in_motion: bool = False) -> tuple:
+    def arguments(self, forces: np.ndarray, tolerance: float | None, in_motion: bool = False) -> dict:
         """What a kernel is given of contacts, which writes ``forces``; ``tolerance`` of gaps, None: the usual one."""
-        tolerance = gap_tolerance(tolerance, self.itself, in_motion)
-        return (self.obstacles, self.kinds, self.grids, self.radius, tolerance, self.memory, forces, self.self_friction)
+        return {"obstacles": self.obstacles, "kinds": self.kinds, "grids": self.grids, "radius": self.radius,
+                "tolerance": gap_tolerance(tolerance, self.itself, in_motion), "memory": self.memory, "forces": forces,
+                "self_friction": self.self_friction}
 
     def copy(self) -> "ContactTable":
         """The table with a memory and forces of its own, which a launch changes."""

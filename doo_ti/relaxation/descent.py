@@ -15,7 +15,7 @@ from functools import cache
 import taichi as ti
 
 from doo_ti.physics.number import Number, Scratch, device_functions, write
-from doo_ti.physics.tuples import chosen, picked, put_lane, record, repeated
+from doo_ti.physics.tuples import choose, picked, put_lane, record, repeated
 from doo_ti.relaxation import tables as of
 from doo_ti.relaxation.kernel_factory import INDEX1, INDEX2, SCRATCH, TABLE1, TABLE2, TABLE3, loop_kernel
 from doo_ti.relaxation.loading import stiffness_scale
@@ -71,8 +71,7 @@ class DescentLoop(QueueLoop):
 
     def __init__(self, number: Number, stride: int):
         self.sweep, self.memory = VertexChain(number), Scratch(number, stride)
-        lanes = number.lanes()
-        self.largest, self.lane, self.with_lane, self.constant = lanes.largest, lanes.lane, lanes.with_lane, lanes.constant
+        self.largest, self.lane, self.with_lane, self.constant = number.lanes()
         self.width, self.scalar = number.width, number.scalar
         self.rounding = 2e-6 if number.bits == 32 else 1e-13
         self.converged, self.limit = int(Status.CONVERGED), int(Status.ITERATION_LIMIT)
@@ -113,7 +112,7 @@ class DescentLoop(QueueLoop):
     def take(self, tables, origin, slot, lane, index):
         """Row ``index`` of the rods into lane ``slot``."""
         s, g = tables.rods[index, of.CLAMP_ROW], tables.rods[index, of.MATERIAL_ROW]
-        longest, shortest = self.sweep.load_rod(tables, origin.lane(slot), s, g)
+        longest, shortest = self.sweep.load_rod(tables, origin.lane(slot), tables.rods[index, of.RESULT_ROW], s, g)
         start_held = ti.max(tables.clamp[s, of.CLOSED], 1.0 - tables.clamp[s, of.RELEASED])
         end_held = ti.max(tables.clamp[s, of.CLOSED], tables.clamp[s, of.RELEASED])
         held = (
@@ -142,11 +141,9 @@ class DescentLoop(QueueLoop):
         # The largest moment is at most the longest edge times the sum of forces: an upper bound, no estimate.
         bound = (lane.length * force + found.spin) / lane.scale
         taken = accepted > 0.5
-        lane.residual = ti.select(taken, bound, lane.residual)
-        lane.energy = ti.select(taken, found.energy, lane.energy)
         heavier = MEMORY * lane.count + 1.0
-        lane.mean = ti.select(taken, (MEMORY * lane.count * lane.mean + found.energy) / heavier, lane.mean)
-        lane.count = ti.select(taken, heavier, lane.count)
+        mean = (MEMORY * lane.count * lane.mean + found.energy) / heavier
+        choose(lane, taken, residual=bound, energy=found.energy, mean=mean, count=heavier)
         self.plan(lane, change, taken)
         self.end(tables, lane, found.magnitude, accepted)
 
@@ -160,7 +157,7 @@ class DescentLoop(QueueLoop):
         phase = lane.trips - LONG_STEP_EVERY * ti.floor(lane.trips / LONG_STEP_EVERY)
         stiff = change.sy * change.sy < 0.5 * change.ss * change.yy
         spectral = ti.select(stiff & (phase > 0.5), shortest, change.ss / change.sy)
-        lane.short = chosen(curved & taken, (short, lane.short[0], lane.short[1]), lane.short)
+        choose(lane, curved & taken, short=(short, lane.short[0], lane.short[1]))
         longer = ti.select(curved, spectral, 2.0 * lane.step)
         first = 0.05 * lane.limit_move / (change.top + 1e-30)
         wanted = ti.select(lane.fresh > 0.5, first, longer)
@@ -171,8 +168,7 @@ class DescentLoop(QueueLoop):
         zero, one = self.constant(0.0), self.constant(1.0)
         lost = ((lane.fresh > 0.5) & (accepted < 0.5)) | ~(lane.residual == lane.residual)
         progress = (lane.residual < 0.9 * lane.best) | (lane.energy < lane.lowest - 1e-7 * magnitude)
-        lane.lowest = ti.select(progress, lane.energy, lane.lowest)
-        lane.best = ti.select(progress, ti.min(lane.best, lane.residual), lane.best)
+        choose(lane, progress, lowest=lane.energy, best=ti.min(lane.best, lane.residual))
         lane.still = ti.select(progress, zero, lane.still + 1.0)
         lane.fresh = zero
         lane.trips = lane.trips + lane.active
@@ -186,8 +182,8 @@ class DescentLoop(QueueLoop):
 
 
 ARGUMENTS = {
-    "vertices": TABLE3,  # [configuration, vertex, 3] mm from the anchor
-    "start": TABLE3,  # [configuration, edge, 4] frames
+    "vertices": TABLE3,  # [row, vertex, 3] mm from the anchor
+    "start": TABLE3,  # [row, edge, 4] frames
     "rest_length": TABLE2,  # [1 or configuration, edge] mm
     "clamp": TABLE2,  # [configuration, CLAMP_COLUMNS]
     "material": TABLE2,  # [material, STIFFNESS + 1 or edge · STIFFNESS_COLUMNS]
@@ -204,5 +200,4 @@ ARGUMENTS = {
 @cache
 def descent_kernel(number: Number, stride: int, block: int):
     """As :func:`.newton.newton_kernel`, for materials of any kind."""
-    loop = DescentLoop(number, stride)
-    return loop_kernel("descent", number, ARGUMENTS, loop.work, block), loop.items
+    return loop_kernel("descent", number, ARGUMENTS, DescentLoop(number, stride), block)

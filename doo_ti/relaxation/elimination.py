@@ -236,8 +236,9 @@ class LooseStart(Elimination):
 
     def load_start(self, rod, found):
         """The external energy at vertex 0: its value goes to ``found``; returns its first and second derivative."""
-        energy, gradient, curvature = self.functions.evaluate_start(
-            rod.head.external, scaled(plus(rod.anchor, rod.head.drift), rod.length_unit))
+        place = scaled(plus(rod.anchor, rod.head.drift), rod.length_unit)
+        energy, gradient, along, curvature, mixed, stretching = self.functions.evaluate(
+            rod.head.external, rod.numbers, rod.field, place, place, rod.coarse)
         found.energy = found.energy + rod.loose * energy
         found.magnitude = found.magnitude + rod.loose * absolute(energy)
         return scaled(gradient, rod.length_unit), scaled(curvature, rod.length_unit * rod.length_unit)

@@ -12,7 +12,7 @@ the vertices, such as a needle, a payload or a pull of known direction, are anot
 from collections.abc import Callable
 from copy import copy
 from dataclasses import dataclass, field
-from typing import ClassVar, NamedTuple, Protocol
+from typing import Annotated, ClassVar, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike
 from doo_ti.physics.number import Layout, Number
 from doo_ti.rod.material import LARGEST, STANDARD_GRAVITY, Material
 from doo_ti.system.arguments import short_repr, typed
-from doo_ti.system.errors import InputError, real_array
+from doo_ti.system.errors import InputError
 
 
 class ExternalFunctions(NamedTuple):
@@ -35,28 +35,25 @@ class ExternalFunctions(NamedTuple):
               by change and change; symmetric ones as (11, 12, 13, 22, 23, 33).
               Where ``coarse`` is one the rod is far from rest, and K better positive semidefinite than exact.
               None where there is no energy.
-    load_start, evaluate_start  the same of vertex 0, whose energy no edge carries, with the numbers of ``start_layout``:
-              (own, numbers, row, scale), and (own, place) giving (E, γ, K); None where it has none
     """
 
     load: Callable
     evaluate: Callable | None
-    load_start: Callable | None = None
-    evaluate_start: Callable | None = None
 
 
 class External(Protocol):
     """The interface of an external energy, and what a class that derives from it has unless it says otherwise: no energy.
     ``external_index`` gives each rod one of its ``count`` rows.
 
-    layout        of the numbers it needs in scratch per edge
-    start_layout  of vertex 0
-    has_coarse    whether K far from rest differs from that near it
-    vertices      of the rods it is for, None where it is for any number of them
+    layout       of the numbers it needs in scratch per edge
+    at_vertices  whether each edge carries that of the vertex where it ends; that of vertex 0, if it may move, is then the one
+                 of an edge −1 that ends there
+    has_coarse   whether K far from rest differs from that near it
+    vertices     of the rods it is for, None where it is for any number of them
     """
 
     layout: ClassVar[Layout] = Layout()
-    start_layout: ClassVar[Layout] = Layout()
+    at_vertices: ClassVar[bool] = False
     has_coarse: ClassVar[bool] = False
 
     @property
@@ -105,16 +102,13 @@ class Springs(External):
 
     __repr__ = short_repr
 
-    points: np.ndarray
-    stiffness: np.ndarray
+    points: Annotated[np.ndarray, "A V 3", float]
+    stiffness: Annotated[np.ndarray, "A V", float]
     layout: ClassVar[Layout] = Layout(point=3, stiffness=1)
-    start_layout: ClassVar[Layout] = layout
+    at_vertices: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
         points, stiffness = (np.array(value, dtype=np.float64) for value in (self.points, self.stiffness))
-        if points.ndim != 3 or points.shape[-1] != 3 or stiffness.shape != points.shape[:2]:
-            shapes = f"shapes {points.shape} and {stiffness.shape}"
-            raise InputError("Springs", "points, stiffness", shapes, "give (A, V, 3) and (A, V)")
         if not np.isfinite(points).all():
             raise InputError("Springs", "points", "not finite", "give finite points, and stiffness 0 where there is none")
         if not (np.isfinite(stiffness).all() and (stiffness >= 0).all()):
@@ -146,7 +140,7 @@ class Springs(External):
         """On the device: each edge carries the spring of the vertex where it ends."""
         import taichi as ti
 
-        from doo_ti.physics.tuples import dot, minus, scaled
+        from doo_ti.physics.tuples import minus
 
         @ti.func
         def load(own, numbers: ti.template(), row, edge, scale):
@@ -164,19 +158,7 @@ class Springs(External):
             mixed = (k, none, none, none, k, none, none, none, k)
             return energy, gradient, gradient, curvature, mixed, curvature
 
-        @ti.func
-        def load_start(own, numbers: ti.template(), row, scale):
-            own.point = (numbers[row, 0, 0], numbers[row, 0, 1], numbers[row, 0, 2])
-            own.stiffness = numbers[row, 0, 3] * scale
-
-        @ti.func
-        def evaluate_start(own, place):
-            k = own.stiffness
-            d = minus(place, own.point)
-            none = 0.0 * k
-            return 0.5 * k * dot(d, d), scaled(d, k), (k, none, none, k, none, k)
-
-        return ExternalFunctions(load, evaluate, load_start, evaluate_start)
+        return ExternalFunctions(load, evaluate)
 
 
 class Nothing(External):
@@ -200,20 +182,15 @@ class PointLoads(External):
 
     __repr__ = short_repr
 
-    force: np.ndarray
-    mass: np.ndarray | float = 0.0
+    force: Annotated[np.ndarray, "A V 3", float]
+    mass: Annotated[np.ndarray | float, "() | A V", float] = 0.0
     springs: Springs | None = None
     up: np.ndarray | None = field(default=None, init=False)
     layout: ClassVar[Layout] = Springs.layout + Layout(force=3)
-    start_layout: ClassVar[Layout] = layout
+    at_vertices: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
-        force, mass = (np.array(real_array("PointLoads", name, getattr(self, name), "give real numbers"), dtype=np.float64)
-                       for name in ("force", "mass"))
-        if force.ndim != 3 or force.shape[-1] != 3:
-            raise InputError("PointLoads", "force", f"shape {force.shape}", "give (A, V, 3)")
-        if mass.shape not in ((), force.shape[:2]):
-            raise InputError("PointLoads", "mass", f"shape {mass.shape}", f"give a number or {force.shape[:2]}")
+        force, mass = (np.array(value, dtype=np.float64) for value in (self.force, self.mass))
         for name, value in (("force", force), ("mass", mass)):
             if not (np.abs(value) <= LARGEST).all():
                 raise InputError("PointLoads", name, f"not finite, or beyond {LARGEST:g}", "give finite numbers")
@@ -228,20 +205,19 @@ class PointLoads(External):
 
     @classmethod
     @typed
-    def from_physical(cls, force: ArrayLike, material: Material, mass: ArrayLike = 0.0) -> "PointLoads":
+    def from_physical(cls, force: Annotated[ArrayLike, "A V 3", float], material: Material,
+                      mass: Annotated[ArrayLike, "() | A V", float] = 0.0) -> "PointLoads":
         """Those of ``force`` (A, V, 3) in N and ``mass`` in g, (A, V) or one number for all vertices, on rods of ``material``,
         of one row or A, whose weight per length is known.
 
         Raises InputError as the class does, and for a material without a weight per length.
         """
-        force = real_array("PointLoads", "force", force, "give N").astype(np.float64)
-        mass = real_array("PointLoads", "mass", mass, "give g").astype(np.float64)
         if material.newton is None:
             raise InputError("PointLoads", "material", "without a weight per length", "give Material.from_physical(…)")
-        if force.ndim != 3 or material.count not in (1, len(force)):
+        if material.count not in (1, len(force)):
             raise InputError("PointLoads", "force", f"shape {force.shape} for {material.count} materials", "give (A, V, 3)")
         unit = material.newton[:, None]
-        weight = np.broadcast_to(1e-3 * STANDARD_GRAVITY * mass, force.shape[:2] if mass.ndim == 0 else mass.shape)
+        weight = np.broadcast_to(1e-3 * STANDARD_GRAVITY * np.asarray(mass, dtype=np.float64), force.shape[:2])
         return cls(force / unit[..., None], weight / unit)
 
     @property
@@ -300,18 +276,7 @@ class PointLoads(External):
             force = own.force
             return (energy - dot(force, end), minus(gradient, force), minus(along, force), curvature, mixed, stiffness)
 
-        @ti.func
-        def load_start(own, numbers: ti.template(), row, scale):
-            springs.load_start(own, numbers, row, scale)
-            own.force = scaled((numbers[row, 0, 4], numbers[row, 0, 5], numbers[row, 0, 6]), scale)
-
-        @ti.func
-        def evaluate_start(own, place):
-            energy, gradient, curvature = springs.evaluate_start(own, place)
-            force = own.force
-            return energy - dot(force, place), minus(gradient, force), curvature
-
-        return ExternalFunctions(load, evaluate, load_start, evaluate_start)
+        return ExternalFunctions(load, evaluate)
 
 
 def check_rows(function: str, loads: PointLoads | Springs | None, rods: int, vertices: int) -> None:

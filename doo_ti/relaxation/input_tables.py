@@ -115,9 +115,7 @@ def external_rows(external: External | None, index, count: int, edges: int) -> n
     if external.vertices not in (None, edges + 1):
         raise InputError("external", "points", f"{external.vertices} vertices", f"give {edges + 1}, as the rods have")
     if index is None:
-        if external.count not in (1, count):
-            raise InputError("relax", "external", f"{external.count} rows for {count} rods", "give one, or one for each rod")
-        return np.arange(count) % external.count
+        return _one_each("external", external.count, np.arange(count), "relax")
     rows = _row_numbers("external_index", index, "relax")
     if rows.shape != (count,) or (rows.size and (rows.min() < 0 or rows.max() >= external.count)):
         raise InputError("relax", "external_index", f"not {count} rows below {external.count}", "give (R,) row numbers")
@@ -220,17 +218,18 @@ def under(table: Tables, material: Material, index=None) -> Tables:
                    weight_per_length=material.weight_per_length)
 
 
-def material_table(material: Material, edges: int) -> np.ndarray:
-    """(G, STIFFNESS + 1 or E · STIFFNESS_COLUMNS): see the columns' names. Raises InputError where that is too large."""
+def material_table(material: Material, edges: int, each_edge: bool = False) -> np.ndarray:
+    """(G, STIFFNESS + 1 or E · STIFFNESS_COLUMNS): see the columns' names; ``each_edge``: also of uniform rods edge by edge.
+    Raises InputError where that is too large."""
     bend, twist, rest = material.bend, material.twist, material.rest_curvature
-    uniform = bend.shape[1] == twist.shape[1] == 1 and (rest is None or rest.shape[1] == 1)
+    uniform = not each_edge and bend.shape[1] == twist.shape[1] == 1 and (rest is None or rest.shape[1] == 1)
     columns = of.STIFFNESS + (1 if uniform else edges) * of.STIFFNESS_COLUMNS
     if material.count * columns > of.MOST_NUMBERS:
         raise InputError("relax", "material", f"{material.count:,} rows in one call",
                          f"give at most {of.MOST_NUMBERS // columns:,} at a time")
     table = room(material.count, columns)
     table[:] = 0.0
-    along = table[:, of.STIFFNESS :].reshape(material.count, -1, of.STIFFNESS_COLUMNS)
+    along = along_rods(table)
     joints = along[:, 1:] if along.shape[1] > 1 else along  # no joint is where the first edge begins
     first, second, mixed = bend[..., 0, 0], bend[..., 1, 1], bend[..., 0, 1]
     along[..., of.BEND], along[..., of.BEND + 1], along[..., of.BEND + 2] = first, second, mixed
@@ -241,21 +240,27 @@ def material_table(material: Material, edges: int) -> np.ndarray:
         joints[..., of.REST : of.REST + 2] = rest
         table[:, of.ROUND] *= (rest == 0).all(axis=(1, 2))
     table[:, of.WEIGHT] = material.weight
-    put_extremes(table, bending_range(first, second, mixed), twist)
+    put_extremes(table)
     return table
 
 
-def put_extremes(table: np.ndarray, bend: tuple[np.ndarray, np.ndarray], twist: np.ndarray) -> None:
-    """Into a table of materials the largest and smallest stiffness along the rods, which have the range ``bend`` (G, 1 or E)
-    each and ``twist`` (G, 1 or joints)."""
-    smallest, largest = bend
+def along_rods(table: np.ndarray) -> np.ndarray:
+    """(G, 1 or E, STIFFNESS_COLUMNS) the part of a table of materials that goes along the rods, not a copy."""
+    return table[:, of.STIFFNESS :].reshape(len(table), -1, of.STIFFNESS_COLUMNS)
+
+
+def put_extremes(table: np.ndarray) -> None:
+    """Into a table of materials the largest and smallest stiffness along the rods."""
+    along = along_rods(table)
+    (smallest, largest), twist = bending_range(along), along[..., of.TWIST]
     table[:, of.LARGEST_BEND] = largest.max(axis=1)
     table[:, of.STIFFEST] = np.maximum(table[:, of.LARGEST_BEND], twist.max(axis=1))
     table[:, of.SOFTEST] = np.minimum(smallest.min(axis=1), twist.min(axis=1))
 
 
-def bending_range(first: np.ndarray, second: np.ndarray, mixed: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The smaller and the larger eigenvalue of B."""
+def bending_range(along: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The smaller and the larger eigenvalue of B, of :func:`along_rods`."""
+    first, second, mixed = (along[..., of.BEND + k] for k in range(3))
     if not mixed.any():
         return np.minimum(first, second), np.maximum(first, second)
     largest = 0.5 * (first + second) + np.hypot(0.5 * (first - second), mixed)
@@ -280,7 +285,7 @@ def evened_materials(material: np.ndarray, most: float) -> tuple[np.ndarray, np.
         return material, uneven
     material = material.copy()
     rows = material[uneven]
-    along = rows[:, of.STIFFNESS :].reshape(len(rows), -1, of.STIFFNESS_COLUMNS)
+    along = along_rods(rows)
     bend = along[..., [of.BEND, of.BEND + 2, of.BEND + 2, of.BEND + 1]].reshape(*along.shape[:2], 2, 2)
     values, axes = np.linalg.eigh(bend)
     smallest = values.min(axis=(1, 2))
@@ -289,7 +294,6 @@ def evened_materials(material: np.ndarray, most: float) -> tuple[np.ndarray, np.
     along[..., of.BEND], along[..., of.BEND + 1], along[..., of.BEND + 2] = bend[..., 0, 0], bend[..., 1, 1], bend[..., 0, 1]
     twist = along[..., of.TWIST]
     along[..., of.TWIST] = np.where(twist > 0, np.clip(twist, smallest[:, None] / most, smallest[:, None] * most), 0.0)
-    rows[:, of.STIFFNESS :] = along.reshape(len(rows), -1)
     rows[:, of.LARGEST_BEND] = values.max(axis=(1, 2))
     rows[:, of.STIFFEST] = np.minimum(rows[:, of.STIFFEST], most * smallest)
     rows[:, of.SOFTEST] = np.maximum(rows[:, of.SOFTEST], smallest / most)

@@ -24,10 +24,11 @@ SOURCE = """def {name}({names}):
 """
 
 
-def loop_kernel(name: str, number: Number, arguments: dict, work: Callable, block: int, serial: bool = False,
+def loop_kernel(name: str, number: Number, arguments: dict, loop, block: int, serial: bool = False,
                 brief: bool = False) -> Callable:
-    """A kernel that takes ``arguments``, types by names in the order of a call, among them ``threads``, and has each of so many
-    threads do ``work``, a Taichi function of the record of all arguments and of the thread's number.
+    """A kernel that takes ``arguments``, types by names, among them ``threads``, and has each of so many threads do the
+    ``work`` of ``loop``, a Taichi function of the record of all arguments and of the thread's number. It is called with the
+    arguments by their names, and has the ``loop``.
 
     block   threads in a block, 1 on a CPU
     serial  on a CPU, work on the caller's thread
@@ -39,17 +40,18 @@ def loop_kernel(name: str, number: Number, arguments: dict, work: Callable, bloc
     file = f"<kernel {name}>"
     # Where Taichi looks for the source of a kernel, which is the same for all of that name.
     linecache.cache[file] = len(source), None, source.splitlines(keepends=True), file
-    scope = {"ti": ti, "record": record, "work": work, "block": block, "serial": serial}
+    scope = {"ti": ti, "record": record, "work": loop.work, "block": block, "serial": serial}
     exec(compile(source, file, "exec"), scope)
     scratch = ti.types.ndarray(dtype=number.type, ndim=1)
     scope[name].__annotations__ = {one: scratch if kind is SCRATCH else kind for one, kind in arguments.items()}
     kernel = runtime.kernel(scope[name])
     compiled = runtime.compiled_briefly(kernel) if brief else kernel
 
-    def launch(*given) -> None:
-        for table, values in zip(arguments, given, strict=True):
+    def launch(**given) -> None:
+        for table, values in given.items():
             if isinstance(values, np.ndarray) and values.size > of.MOST_NUMBERS:
                 raise InputError(name, table, f"{values.size:,} numbers in one call", "give fewer rods or edges at a time")
-        compiled(*given)
+        compiled(*(given[one] for one in arguments))
 
+    launch.loop = loop
     return launch

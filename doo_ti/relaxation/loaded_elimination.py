@@ -15,7 +15,7 @@ import taichi as ti
 
 from doo_ti.physics import algebra, tuples
 from doo_ti.physics.algebra import absolute, applied, column_scaled, full, largest_of, quadratic, row, transposed
-from doo_ti.physics.number import device_functions
+from doo_ti.physics.number import Layout, device_functions
 from doo_ti.physics.pair import closure_rows, linear_gradient, linear_hessian, shift_of_end
 from doo_ti.physics.quaternion import directors, first_director, second_director, tangent
 from doo_ti.physics.tuples import dot, minus, negated, picked, plus, products, record, repeated, scaled, traced, variable
@@ -44,12 +44,12 @@ class LoadedElimination(LooseStart):
 
     def __init__(self, number, isotropic: bool, stride: int, external: type, any_ends: bool,
                  contacts: RodContacts | None = None):
+        start = external.layout if external.at_vertices else Layout()
         super().__init__(number, isotropic, stride, edge_layout(isotropic, external.layout, any_ends),
-                         rod_layout(external.start_layout if any_ends else None))
-        self.functions = external.functions(number)
-        self.moves_start = any_ends
+                         rod_layout(start if any_ends else None))
+        self.functions, self.has_coarse, self.moves_start = external.functions(number), external.has_coarse, any_ends
         self.is_loaded = self.functions.evaluate is not None
-        self.pulls_start = self.functions.evaluate_start is not None
+        self.pulls_start = external.at_vertices
         self.contacts, self.touches = contacts, contacts is not None
 
     @picked

@@ -59,18 +59,17 @@ class Loading:
     """Loading of rods into lanes of ``sweep`` (:class:`.Chain`).
 
     ``tables`` is a record of the arrays that host and kernels share: start, rest_length, clamp, material, up, rods, frames,
-    results, and ``numbers`` of the external energy (see :mod:`doo_ti.relaxation.tables`). ``functions`` are that energy's, or
-    None. ``in_millimetres``: lengths stay in mm.
+    results, and ``numbers`` of the external energy (see :mod:`doo_ti.relaxation.tables`). ``in_millimetres``: lengths stay in
+    mm.
     """
 
-    def __init__(self, sweep: chain.Chain, functions=None, in_millimetres: bool = False):
+    def __init__(self, sweep: chain.Chain, in_millimetres: bool = False):
         self.edge, self.isotropic, self.moves_start = sweep.edge, sweep.isotropic, sweep.moves_start
-        self.functions, self.in_millimetres = functions, in_millimetres
-        self.touches = sweep.touches
+        self.functions, self.in_millimetres = sweep.functions, in_millimetres
+        self.touches, self.pulls_start = sweep.touches, sweep.pulls_start
         if self.touches:
             self.contacts = sweep.contacts
-        self.loaded = functions is not None
-        self.loads_start = self.loaded and functions.load_start is not None
+        self.loaded = self.functions is not None
 
     def load(self, tables, head, slot, rod, lengths_known):
         """Row ``rod`` of the rods into lane ``slot``. Lengths that all rods share are loaded once per lane.
@@ -115,8 +114,8 @@ class Loading:
         if ti.static(self.moves_start):
             lane.loose = tables.clamp[s, of.LOOSE]
             lane.drift = scaled(read(tables.results, tables.rods[rod, of.RESULT_ROW], of.DRIFT), 1.0 / unit)
-            if ti.static(self.loads_start):
-                self.functions.load_start(lane.external, tables.numbers, row_e, 1.0 / divisor * unit)
+            if ti.static(self.loaded and self.pulls_start):
+                self.functions.load(lane.external, tables.numbers, row_e, -1, 1.0 / divisor * unit)
 
     def load_frames(self, tables, source: ti.template(), row, lane, s):
         """The frames of ``source``'s row into a lane, clamp s holding the ends. A first step of length zero normalises them."""

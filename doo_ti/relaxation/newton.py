@@ -81,10 +81,10 @@ class QueueLoop:
 class NewtonLoop(QueueLoop, NewtonTrip):
     """The loop of Newton's method."""
 
-    def __init__(self, sweep: Elimination, functions=None, has_coarse: bool = False):
-        NewtonTrip.__init__(self, sweep, has_coarse)
-        self.width = sweep.number.width
-        self.loading = Loading(sweep, functions)
+    def __init__(self, sweep: Elimination):
+        NewtonTrip.__init__(self, sweep)
+        self.width, self.items = sweep.number.width, sweep.items
+        self.loading = Loading(sweep)
 
     def work(self, given, thread):
         """A thread's work with the arrays of its kernel."""
@@ -221,7 +221,7 @@ TOLERANCES = {32: 9.9e-5, 64: 9.9e-8}
 """The residual that counts as converged, by bits: of a rod of 99 mm a moment over stiffness of 1e-6 and 1e-9 1/mm."""
 
 
-# What kernels are given, in this order.
+# What kernels are given.
 NEWTON = {
     "start": TABLE1,  # [start · edge · 4]
     "rest_length": TABLE2,  # [1 or configuration, edge] mm
@@ -254,8 +254,7 @@ OBSTACLES = {
 @cache
 def newton_kernel(number: Number, stride: int, block: int, isotropic: bool, external: type | None = None,
                   any_ends: bool = False):
-    """(The compiled-on-first-use kernel for one kind of number, of material and of external energy, and a function of its
-    arrays, :meth:`.Chain.items`.)
+    """The kernel, compiled on first use, for one kind of number, of material and of external energy.
 
     stride: distance between the numbers of a thread in scratch, 1 on a CPU, at least the number of threads on a GPU.
     block: see :func:`.loop_kernel`.
@@ -263,11 +262,9 @@ def newton_kernel(number: Number, stride: int, block: int, isotropic: bool, exte
     any_ends: not all rods under the external energy have vertex 0 held and the far end free, which is faster.
     """
     if external is None:
-        sweep = Elimination(number, isotropic, stride)
-        return loop_kernel("newton", number, NEWTON, NewtonLoop(sweep).work, block), sweep.items
+        return loop_kernel("newton", number, NEWTON, NewtonLoop(Elimination(number, isotropic, stride)), block)
     sweep = LoadedElimination(number, isotropic, stride, external, any_ends)
-    loop = NewtonLoop(sweep, sweep.functions, external.has_coarse)
-    return loop_kernel("newton_under_load", number, NEWTON | EXTERNAL, loop.work, block), sweep.items
+    return loop_kernel("newton_under_load", number, NEWTON | EXTERNAL, NewtonLoop(sweep), block)
 
 
 @cache
@@ -278,6 +275,4 @@ def contact_kernel(number: Number, stride: int, block: int, isotropic: bool, ext
         sweep = DenseLoadedElimination(number, isotropic, stride, external, True, SelfContacts(number, has_grid))
     else:
         sweep = LoadedElimination(number, isotropic, stride, external, True, RodContacts(number, has_grid, expects=True))
-    loop = NewtonLoop(sweep, sweep.functions, external.has_coarse)
-    kernel = loop_kernel("newton_in_contact", number, NEWTON | EXTERNAL | OBSTACLES, loop.work, block, brief=True)
-    return kernel, sweep.items
+    return loop_kernel("newton_in_contact", number, NEWTON | EXTERNAL | OBSTACLES, NewtonLoop(sweep), block, brief=True)

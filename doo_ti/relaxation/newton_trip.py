@@ -39,11 +39,10 @@ class NewtonTrip:
     active, finished, lengths_known      flags of the lane: it has a rod; that is to be exchanged; edge lengths have been loaded
     """
 
-    def __init__(self, sweep: Elimination, has_coarse: bool):
+    def __init__(self, sweep: Elimination):
         number = sweep.number
-        self.sweep, self.has_coarse, self.touches = sweep, has_coarse, sweep.touches
-        lanes = number.lanes()
-        self.largest, self.lane, self.with_lane, self.constant = lanes.largest, lanes.lane, lanes.with_lane, lanes.constant
+        self.sweep, self.has_coarse, self.touches = sweep, sweep.has_coarse, sweep.touches
+        self.largest, self.lane, self.with_lane, self.constant = number.lanes()
         self.scalar = number.scalar
         single = number.bits == 32
         self.rounding = 2e-6 if single else 1e-10
@@ -154,19 +153,13 @@ class NewtonTrip:
         without contact, with a larger shift. A rod deep inside an obstacle gets a larger κ each time.
         """
         zero, one = self.constant(0.0), self.constant(1.0)
-        lane.energy = ti.select(judged.stands, found.energy, lane.energy)
+        choose(lane, judged.stands, energy=found.energy, magnitude=found.magnitude, miss=miss, multiplier=multiplier,
+               arrived=lowest[1], along=ti.min(lane.along, lowest[1]), scale=found.scale, residual=found.moment,
+               shift=next_shift)
+        choose(lane, lane.fresh > 0.5, begun=lowest[0])
+        lane.change = found.change
         if ti.static(self.touches):
             choose(rod.contacts, judged.stands, penalty_kept=rod.contacts.penalty)
-        lane.magnitude = ti.select(judged.stands, found.magnitude, lane.magnitude)
-        lane.miss = chosen(judged.stands, miss, lane.miss)
-        lane.begun = ti.select(lane.fresh > 0.5, lowest[0], lane.begun)
-        lane.arrived = ti.select(judged.stands, lowest[1], lane.arrived)
-        lane.along = ti.select(judged.stands, ti.min(lane.along, lowest[1]), lane.along)
-        lane.multiplier = chosen(judged.stands, multiplier, lane.multiplier)
-        lane.scale = ti.select(judged.stands, found.scale, lane.scale)
-        lane.residual = ti.select(judged.stands, found.moment, lane.residual)
-        lane.change = found.change
-        lane.shift = ti.select(judged.stands, next_shift, lane.shift)
         stiffer = judged.uphill & (lane.escaping < 0.5)
         if ti.static(self.touches):
             # Not the first time: where contacts begin and end, the energy is not quadratic.
@@ -241,10 +234,9 @@ class NewtonTrip:
     def plan(self, tables, rod, lane, judged, place, searching, slope):
         """The next step: whether to take one, how much of it, and under which shift."""
         zero, one = self.constant(0.0), self.constant(1.0)
-        lane.escaping = ti.select(place.leaving, one, lane.escaping)
-        lane.shift = ti.select(place.leaving, zero, lane.shift)
-        lane.escapes = ti.select(place.leaving & place.at_saddle, lane.escapes + 1.0, lane.escapes)
-        lane.strays = ti.select(place.leaving & ~place.at_saddle, lane.strays + 1.0, lane.strays)
+        choose(lane, place.leaving, escaping=one, shift=zero)
+        choose(lane, place.leaving & place.at_saddle, escapes=lane.escapes + 1.0)
+        choose(lane, place.leaving & ~place.at_saddle, strays=lane.strays + 1.0)
         if ti.static(not self.touches):  # a step that only closes does not know obstacles: it would carry the rod into them
             far = place.gap > ti.cast(tables.policy[fixed.CLOSING], self.scalar) * rod.longest
             lane.closing = ti.select(far, one, zero)

@@ -11,7 +11,7 @@ and t, 2 c_k c_l I, less what s and t give by moving along.
 
 import taichi as ti
 
-from doo_ti.physics.tuples import dot, minus, plus, record, scaled, traced
+from doo_ti.physics.tuples import choose, dot, minus, plus, record, scaled, traced
 
 
 @traced
@@ -48,8 +48,7 @@ def nearest_places(w, p, q, even):
         inside = (s >= 0.0) & (s <= 1.0) & (t >= 0.0) & (t <= 1.0)
         square = ww + s * (s * pp - 2.0 * wp) + t * (t * qq + 2.0 * wq) - 2.0 * s * t * pq
         nearer = inside & (square < best.square)
-        best.s, best.t = ti.select(nearer, s, best.s), ti.select(nearer, t, best.t)
-        best.square = ti.select(nearer, square, best.square)
+        choose(best, nearer, s=s, t=t, square=square)
     one = zero + 1.0
     s_moves = ti.select((best.s > 0.0) & (best.s < 1.0), one, zero)
     t_moves = ti.select((best.t > 0.0) & (best.t < 1.0), one, zero)

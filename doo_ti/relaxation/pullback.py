@@ -142,22 +142,8 @@ class ContactAdjoint(Adjoint, ContactSensitivity):
         return dot(start, whole) + dot(minus(end, start), own)
 
 
-def run_pullback(solution: Solution, usable: np.ndarray, directions: np.ndarray, forces: np.ndarray, moments: np.ndarray):
-    """Of s = Σ forces · dx + Σ moments · dω, with ``forces`` (R, V, 3) and ``moments`` (R, E, 3) in the axes of the frames: the
-    gradients (R, P) by ``directions``, (R, E−1, 2) by ω̄ of every joint and (R, V, 3) by forces on the vertices, and which rods
-    (R,) have them, of those that are ``usable``; NaN in others."""
-    count, edges = solution.tables.count, solution.tables.edges
-    displaced, turned = of.room(count, edges + 1, 3), of.room(count, edges, 3)
-    gradient, curvature = np.empty((count, max(1, len(directions)))), of.room(count, edges - 1, 2)
-    arrays = forces, moments, displaced, turned, gradient, curvature
-    found = run_at_rest(solution, usable, KERNELS, directions, np.zeros((1, edges - 1, 2)), arrays, 0, count)
-    for array in (gradient, curvature, displaced):
-        array[~found] = np.nan
-    return gradient[:, : len(directions)], curvature, displaced, found
-
-
 COTANGENTS = {
-    "pulls": TABLE3, "twists": TABLE3,  # [row, vertex or edge, 3] the cotangents
+    "pulls": TABLE3, "twists": TABLE3,  # [row, vertex or edge, 3] the cotangents; those of edges in the axes of their frames
     "displaced": TABLE3, "turned": TABLE3,  # [row, vertex or edge, 3] out: dx and p
     "gradient": TABLE2,  # [row, column] out
     "curvature": TABLE3,  # [row, joint, 2] out
@@ -218,10 +204,15 @@ def pullback(solution: Solution, cotangent: np.ndarray | None, parameters: Seque
         twists = np.ascontiguousarray(np.einsum("reki,rek->rei", own, moment))
     others = [name for name in parameters if name not in (*sensitivity.CURVATURES, FORCES)]
     directions = [sensitivity.parameter_directions([name], edges, table.up, {})[1] for name in others]
-    runtime.start()
-    rows = np.concatenate(directions) if directions else np.zeros((0, 0))
-    gradient, curvature, displaced, sound = run_pullback(solution, usable, rows, pulls, twists)
     ends = np.cumsum([0, *map(len, directions)])
+    gradient, curvature = np.empty((count, max(1, ends[-1]))), of.room(count, edges - 1, 2)
+    displaced, turned = of.room(count, edges + 1, 3), of.room(count, edges, 3)
+    rows = np.concatenate(directions) if directions else np.zeros((0, 0))
+    sound = run_at_rest(solution, usable, KERNELS, rows, np.zeros((1, edges - 1, 3)), {
+        "pulls": pulls, "twists": twists, "displaced": displaced, "turned": turned, "gradient": gradient,
+        "curvature": curvature}, 0, count)
+    for array in (gradient, curvature, displaced):
+        array[~sound] = np.nan
     parts = {name: gradient[:, first] if last == first + 1 else gradient[:, first:last]
              for name, first, last in zip(others, ends, ends[1:], strict=False)}
     hanging, taut = table.released[table.configuration_index], sensitivity.taut_rods(table)

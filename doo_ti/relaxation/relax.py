@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from doo_ti.contact.distance_grid import DistanceGrid
 from doo_ti.contact.obstacles import Obstacle, Ring
-from doo_ti.contact.surroundings import Surroundings, obstacle_list
+from doo_ti.contact.surroundings import Surroundings
 from doo_ti.relaxation import batch
 from doo_ti.relaxation import tables as of
 from doo_ti.relaxation.clear_start import move_out
@@ -86,7 +86,6 @@ def relax(
     Clamped frames replace the first and last frame of the start. Results are float64; energies include the constant
     μ z_0 Σ l̄_i. Raises InputError for inputs that do not match; infeasible rods have the status INFEASIBLE, else NaN.
     """
-    obstacles = obstacle_list("relax", obstacles)
     once_more = isinstance(x0, Solution) and clamps is None
     solver = _default_solver(x0, obstacles, once_more) if solver is None else solver
     _check_options(solver, precision, external, obstacles, once_more, clamps)
@@ -128,9 +127,7 @@ def _solved(table: Tables, solver: Newton | Descent, precision: str, begin: Solu
 
 
 def _check_options(solver, precision: str, external, obstacles, once_more: bool, clamps) -> None:
-    """Raise InputError for an unknown solver or precision, or one that cannot be used with the other arguments."""
-    if not isinstance(solver, Newton | Descent):
-        raise InputError("relax", "solver", f"{solver!r}", "give Newton(), Newton.careful() or Descent()")
+    """Raise InputError for an unknown precision, and for a solver that cannot be used with the other arguments."""
     for given, what in ((once_more, f"{solver!r} from a Solution"), (len(obstacles), "Descent cannot use obstacles"),
                         (external is not None, "Descent cannot use an external energy")):
         if isinstance(solver, Descent) and given:

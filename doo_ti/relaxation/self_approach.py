@@ -13,8 +13,7 @@ its frames after the straight way, each transported from its old tangent to the 
 whole turns.
 """
 
-from functools import cache
-from types import SimpleNamespace
+from functools import cache, partial
 
 import numpy as np
 import taichi as ti
@@ -24,7 +23,7 @@ from doo_ti.physics.number import Layout, Number, Scratch, device_functions, rea
 from doo_ti.physics.quaternion import passed_half_turn, tangent, turned_about_own_tangent
 from doo_ti.physics.tuples import dot, minus, picked, plus, record, repeated, scaled
 from doo_ti.relaxation import tables as of
-from doo_ti.relaxation.batch import laid_out, layout_for
+from doo_ti.relaxation.batch import launch, layout_for
 from doo_ti.relaxation.kernel_factory import INDEX1, INDEX2, SCRATCH, TABLE1, loop_kernel
 from doo_ti.relaxation.pair_distance import nearest_places, within
 from doo_ti.relaxation.tables import Tables
@@ -206,19 +205,16 @@ ARGUMENTS = {
 @cache
 def _kernel(number: Number, stride: int, block: int, by_frames: bool):
     """As :func:`.newton_kernel`, of rods that are given by frames, or by places."""
-    approach = ClosestApproach(number, stride, by_frames)
-    return loop_kernel("approach", number, ARGUMENTS, approach.work, block), approach.items
+    return loop_kernel("approach", number, ARGUMENTS, ClosestApproach(number, stride, by_frames), block)
 
 
 def _approach(by_frames: bool, before, after, rows, rest_length, radius, more) -> np.ndarray:
     """(N,) APART, TOUCHING or TURNED, of the N rods of ``rows``, that touch where they come nearer to themselves than two radii
     and ``more``."""
-    edges = rest_length.shape[1]
-    kernel, threads, scratch, _ = laid_out(
-        layout_for(len(rows), 64, width=1), lambda *layout: _kernel(*layout, by_frames), SimpleNamespace(edges=edges))
     flags = np.zeros(len(rows), dtype=np.int32)
-    kernel(before.reshape(-1), after.reshape(-1), rows, rest_length.reshape(-1), radius, 2.0 * radius + more, edges, threads,
-           scratch, flags)
+    launch(layout_for(len(rows), 64, width=1), partial(_kernel, by_frames=by_frames), before=before.reshape(-1),
+           after=after.reshape(-1), rows=rows, lengths=rest_length.reshape(-1), radius=radius, near=2.0 * radius + more,
+           edges=rest_length.shape[1], flags=flags)
     return flags
 
 

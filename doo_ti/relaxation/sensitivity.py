@@ -107,8 +107,7 @@ def end_loads(solution: Solution) -> EndLoads:
     """
     solution = alone("end_loads", solution)
     table = solution.tables
-    runtime.start()
-    nothing = np.zeros((0, 0)), np.zeros((1, table.edges - 1, 2))
+    nothing = np.zeros((0, 0)), np.zeros((1, table.edges - 1, 3))
     moments = run_sensitivity(solution, solution.converged, *nothing, 0, table.count)[3]
     clamp = table.clamp[table.configuration_index]
     total = 2.0 * table.material[table.material_index, of.WEIGHT, None] * clamp[:, of.TOTAL, None] * table.up
@@ -208,7 +207,6 @@ def sensitivity(solution: Solution, parameters: Sequence[str] = ("bend", "twist"
     require_whole("sensitivity", "first", first, 0, table.count)
     require_whole("sensitivity", "last", last, first, table.count)
     names, directions, along = parameter_directions(parameters, table.edges, table.up, along)
-    runtime.start()
     vertices, turns, forces, _, sound = run_sensitivity(solution, at_minima(solution), directions, along, first, last,
                                                         rotations, loads)
     start = table.configuration_index[first:last]

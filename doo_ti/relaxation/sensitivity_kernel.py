@@ -1,8 +1,7 @@
 """The kernels behind :mod:`doo_ti.relaxation.sensitivity`, for rods that touch nothing and for those at obstacles."""
 
 from collections.abc import Callable
-from functools import cache
-from types import SimpleNamespace
+from functools import cache, partial
 
 import numpy as np
 import taichi as ti
@@ -11,10 +10,9 @@ from doo_ti.physics.algebra import against, forward, symmetric_gram
 from doo_ti.physics.number import Number, device_functions
 from doo_ti.physics.tuples import chosen, negated, plus, record, repeated, scaled, variable
 from doo_ti.relaxation import tables as of
-from doo_ti.relaxation.batch import laid_out, layout_for, layout_of_gpu
+from doo_ti.relaxation.batch import launch, layout_for
 from doo_ti.relaxation.chain import edge_layout
 from doo_ti.relaxation.contact_sensitivity import ContactSensitivity
-from doo_ti.relaxation.contact_table import ContactTable
 from doo_ti.relaxation.elimination import Elimination
 from doo_ti.relaxation.kernel_factory import INDEX1, INDEX2, SCRATCH, TABLE1, TABLE2, TABLE3, TABLE4, loop_kernel
 from doo_ti.relaxation.loading import Loading
@@ -23,7 +21,6 @@ from doo_ti.relaxation.parameter_gradient import DIRECTION_COLUMNS, KEPT
 from doo_ti.relaxation.sensitivity_columns import LOADS, SensitivityColumns
 from doo_ti.relaxation.tables import Tables
 from doo_ti.rod.types import Solution
-from doo_ti.system import runtime
 
 MOST_THREADS_ON_A_GPU = 4096
 
@@ -91,7 +88,8 @@ def run_sensitivity(solution: Solution, usable: np.ndarray, directions: np.ndarr
     outputs = (of.room(count, edges + 1, 3, columns), of.room(count, edges, 3, columns * rotations),
                of.room(count, LOADS, 3, columns * loads), of.room(count, 2, 3, 1))
     # Kernels take no arrays without entries.
-    written = tuple(array if array.shape[3] else np.empty((1,) * array.ndim) for array in outputs)
+    written = {name: array if array.shape[3] else np.empty((1,) * array.ndim)
+               for name, array in zip(COLUMNS, outputs, strict=True)}
     kernels = SOLVING, SOLVING_IN_CONTACT if columns else None
     lost = ~run_at_rest(solution, usable, kernels, directions, modes, written, first, last, packed=True)
     for array in outputs:
@@ -100,12 +98,12 @@ def run_sensitivity(solution: Solution, usable: np.ndarray, directions: np.ndarr
 
 
 def run_at_rest(solution: Solution, usable: np.ndarray, kernels: tuple, directions: np.ndarray, modes: np.ndarray,
-                arrays: tuple, first: int, last: int, packed: bool = False) -> np.ndarray:
+                arrays: dict, first: int, last: int, packed: bool = False) -> np.ndarray:
     """Launch kernels over the rods from ``first`` to ``last`` of a solution that are ``usable``; ``directions`` and ``modes``
     as :func:`run_sensitivity` has them.
 
     kernels  :func:`kernels_at_rest`: for rods that touch nothing and for those at obstacles; None: the first takes them all
-    arrays   further ones of the kernels, in their order
+    arrays   further ones of the kernels
     packed   whether the first kernel takes packs of rods
 
     Returns which rods (R,) are at a minimum and have results.
@@ -117,43 +115,31 @@ def run_at_rest(solution: Solution, usable: np.ndarray, kernels: tuple, directio
     results = np.zeros((count, of.LOADED_RESULTS))
     results[:, of.FORCE : of.FORCE + 3] = np.nan_to_num(solution.end_force[first:last])
     results[:, of.DRIFT :] = solution.configuration.start[first:last] - table.anchor[table.configuration_index[first:last]]
-    given = np.ascontiguousarray(directions) if columns else np.zeros((1, DIRECTION_COLUMNS))
+    directions = np.ascontiguousarray(directions) if columns else np.zeros((1, DIRECTION_COLUMNS))
     sound = np.zeros(count, dtype=np.int32)
-    state = frames.reshape(-1), results, _beyond(table, first, last), given, np.ascontiguousarray(modes), columns
+    given = arrays | {"frames": frames.reshape(-1), "results": results, "beyond": _beyond(table, first, last), "sound": sound,
+                      "directions": directions, "modes": np.ascontiguousarray(modes), "columns": columns}
     touching = np.zeros(count, dtype=bool)  # or with vertex 0 free among obstacles
     if kernels[1] is not None and table.contact is not None:
         loose = table.clamp[table.configuration_index[first:last], of.LOOSE] > 0
         touching = loose | (table.contact.forces[first:last] != 0.0).any(axis=(1, 2))
-    for rods, contact in ((~touching, None), (touching, table.contact)):
-        rows = np.flatnonzero(usable[first:last] & rods)
-        _launch(table, first, last, rows, contact, kernels[contact is not None], state, (sound, *arrays),
-                packed and contact is None)
+    for part, contact in ((~touching, None), (touching, table.contact)):
+        rods = table.continued(np.ones(table.count, dtype=bool), first + np.flatnonzero(usable[first:last] & part))
+        if not len(rods):
+            continue
+        rods[:, of.RESULT_ROW] -= first
+        kernel, more = kernels[0], {}
+        if contact is not None:
+            obstacles, radius = (array if len(array) == 1 else array[first:last]
+                                 for array in (contact.obstacles, contact.radius))
+            loads = np.zeros((1, 1, 3)) if table.external is None else point_loads(table)[first:last]
+            kernel = partial(kernels[1], has_grid=contact.has_grid)
+            more = {"obstacles": obstacles, "kinds": contact.kinds, "grids": contact.grids, "radius": radius,
+                    "memory": contact.memory[first:last], "point_loads": loads}
+        layout = layout_for(len(rods), 64, width=None if packed and contact is None else 1, most=MOST_THREADS_ON_A_GPU)
+        launch(layout, kernel, start=table.start.reshape(-1), rest_length=table.rest_length, clamp=table.clamp,
+               material=table.material, up=np.array(table.up, dtype=np.float64), rods=rods, **given, **more)
     return sound != 0
-
-
-@runtime.exclusive
-def _launch(table: Tables, first: int, last: int, rows: np.ndarray, contact: ContactTable | None, kernel_for: Callable,
-            state: tuple, arrays: tuple, packed: bool) -> None:
-    """One launch over the rods ``rows``, counted from ``first``, which touch obstacles where ``contact`` is their table;
-    ``state``: what the kernels are given of all rods, from their frames to the number of columns."""
-    rods = table.continued(np.ones(table.count, dtype=bool), first + rows)
-    if not len(rods):
-        return
-    rods[:, of.RESULT_ROW] -= first
-    given, known, more = SimpleNamespace(rest_length=table.rest_length), (), ()
-    if contact is not None:
-        given.kinds, known = contact.kinds, (contact.has_grid,)
-        obstacles, radius = (array if len(array) == 1 else array[first:last] for array in (contact.obstacles, contact.radius))
-        loads = np.zeros((1, 1, 3)) if table.external is None else point_loads(table)[first:last]
-        more = (obstacles, contact.kinds, contact.grids, radius, contact.memory[first:last], loads)
-    if runtime.start() == "cpu":
-        layout = layout_for(len(rods), 64) if packed else (Number(1, 64), min(len(rods), runtime.thread_count()), 1, 1)
-    else:
-        layout = layout_of_gpu(len(rods), 64, MOST_THREADS_ON_A_GPU)
-    kernel, threads, scratch, _ = laid_out(layout, lambda *layout: kernel_for(*layout, *known), given)
-    kernel(
-        table.start.reshape(-1), table.rest_length, table.clamp, table.material, np.array(table.up, dtype=np.float64), rods,
-        *state, threads, scratch, *arrays, *more)
 
 
 def _beyond(table: Tables, first: int, last: int) -> np.ndarray:
@@ -179,7 +165,7 @@ def point_loads(table: Tables) -> np.ndarray:
     return table.external.whole_force[table.external_index]
 
 
-# What kernels are given, in this order: for rods at rest of any kind, and where their derivatives go.
+# What kernels are given: for rods at rest of any kind, and where their derivatives go.
 AT_REST = {
     "start": TABLE1, "rest_length": TABLE2, "clamp": TABLE2, "material": TABLE2,  # as the Newton kernel has them
     "up": TABLE1,  # [3] against gravity
@@ -206,14 +192,12 @@ def kernels_at_rest(name: str, results: dict, alone: type, touching: type) -> tu
     nothing, and for those that touch obstacles. They write ``results``."""
     @cache
     def kernel(number: Number, stride: int, block: int):
-        sweep = alone(number, stride)
-        return loop_kernel(name, number, AT_REST | results, sweep.work, block), sweep.items
+        return loop_kernel(name, number, AT_REST | results, alone(number, stride), block)
 
     @cache
     def in_contact(number: Number, stride: int, block: int, has_grid: bool):
-        sweep = touching(stride, has_grid)
         given = AT_REST | results | CONTACTS_AT_REST
-        return loop_kernel(f"{name}_in_contact", number, given, sweep.work, block, brief=True), sweep.items
+        return loop_kernel(f"{name}_in_contact", number, given, touching(stride, has_grid), block, brief=True)
 
     return kernel, in_contact
 

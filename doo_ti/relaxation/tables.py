@@ -5,7 +5,7 @@ and G materials, not D·G of each.
 """
 
 import sys
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from math import prod
 from threading import Lock
 
@@ -149,13 +149,13 @@ class Tables:
     def by_material(self, rods: np.ndarray) -> list[tuple[bool, np.ndarray]]:
         """``rods`` (-, ROD_COLUMNS) parted by whether they are isotropic. A rod's own material decides which kernel takes it,
         so that its result does not depend on the others of a call."""
-        return _parted(rods, self.isotropic[rods[:, MATERIAL_ROW]])
+        return parted(rods, self.isotropic[rods[:, MATERIAL_ROW]])
 
     def by_kernel(self, rods: np.ndarray) -> list[tuple[bool, bool, np.ndarray]]:
         """``rods`` parted by the kernel that relaxes them: (isotropic, any_ends, rods), by their own materials and clamps. A
         rod whose vertex 0 is loose always needs a kernel that moves it, ``any_ends``."""
         return [(isotropic, any_ends, part) for isotropic, own in self.by_material(rods)
-                for any_ends, part in _parted(own, self._any_ends(own))]
+                for any_ends, part in parted(own, self._any_ends(own))]
 
     def _any_ends(self, rods: np.ndarray) -> np.ndarray:
         """(-,) whether the kernel of a rod has to know held far ends and loose starts."""
@@ -164,22 +164,8 @@ class Tables:
         loose = self.clamp[rods[:, CLAMP_ROW], LOOSE] > 0
         return loose if self.external is None else loose | (self.clamp[rods[:, CLAMP_ROW], CLOSED] > 0)
 
-    def restarted(self, frames: np.ndarray) -> "Tables":
-        """The same rods with a start each, ``frames`` (R, E, 4); infeasible ones keep what they had."""
-        of_start = self.configuration_index
-        feasible = self.feasible[of_start]
-        lengths = self.rest_length
-        start = np.ascontiguousarray(np.where(feasible[:, None, None], frames, self.start[of_start]))
-        clamp = self.clamp[of_start]
-        clamp[:, ENDS:] = start[:, outer_edges(self.edges)].reshape(-1, 8)
-        rods = self.rods.copy()
-        rods[:, CLAMP_ROW] = rods[:, START_ROW] = rods[:, RESULT_ROW]
-        return replace(
-            self, start=start, rest_length=lengths if len(lengths) == 1 else lengths[of_start], clamp=clamp, rods=rods,
-            feasible=feasible, configuration_index=np.arange(self.count))
 
-
-def _parted(rods: np.ndarray, flag: np.ndarray) -> list[tuple[bool, np.ndarray]]:
+def parted(rods: np.ndarray, flag: np.ndarray) -> list[tuple[bool, np.ndarray]]:
     """(flag, rods) of those that have it and of those that have it not, where there are any."""
     if flag.all() or not flag.any():  # as nearly always
         return [(bool(flag[0]), rods)] if len(rods) else []

@@ -34,6 +34,7 @@ class MotionLoading(Loading):
 
     def __init__(self, sweep: TimeSweep):
         super().__init__(sweep)
+        self.loaded = False  # the sweep sets its own springs and forces
         self.moves = self.touches and self.contacts.moves
         self.joints_rest, self.moving_vertex = sweep.joints_rest, sweep.moving_vertex
         # Slack below which frames cannot be told from those of a taut rod.

@@ -118,8 +118,7 @@ class TimeLoop(NewtonLoop):
         """End the steps whose clamps are out of their rods' reach."""
         reach = head.reach
         out = (reach > INFEASIBLE - 0.5) & (reach < INFEASIBLE + 0.5)
-        lane.status = ti.select(out, self.constant(self.infeasible), lane.status)
-        lane.finished = ti.select(out, lane.active, lane.finished)
+        choose(lane, out, status=self.constant(self.infeasible), finished=lane.active)
 
     def note_link(self, tables, head, slot, row, frame):
         """Note where the link of the rod in lane ``slot`` has changed in what it has just made."""

@@ -12,7 +12,7 @@ from doo_ti.physics import pair
 from doo_ti.physics.algebra import against, backward, forward, minus_combination
 from doo_ti.physics.number import Layout, device_functions, in_f64
 from doo_ti.physics.quaternion import first_director, second_director, tangent
-from doo_ti.physics.tuples import dot, extended, minus, negated, picked, plus, products, repeated, scaled, variable
+from doo_ti.physics.tuples import choose, dot, extended, minus, negated, picked, plus, products, repeated, scaled, variable
 from doo_ti.relaxation import tables as of
 from doo_ti.relaxation.loading import load_stiffness
 from doo_ti.relaxation.time_loop import TimeLoop
@@ -247,17 +247,13 @@ class TimeSlopeLoop(TimeLoop):
         """A trip, in which lanes that wait keep their frames and repeat the elimination."""
         zero, one = self.constant(0.0), self.constant(1.0)
         waits = lane.finished > 0.5
-        lane.trying = ti.select(waits, zero, lane.trying)
-        lane.closing = ti.select(waits, zero, lane.closing)
-        lane.escaping = ti.select(waits, zero, lane.escaping)
-        lane.step_scale = ti.select(waits, zero, lane.step_scale)
+        choose(lane, waits, trying=zero, closing=zero, escaping=zero, step_scale=zero)
         waited = ti.select(waits, one, zero)
         status, trips = lane.status + zero, lane.trips + zero
         self.trip(tables, head, lane)
         self.refuse(head, lane)
         lane.finished = ti.max(lane.finished, waited)
-        lane.status = ti.select(waited > 0.5, status, lane.status)
-        lane.trips = ti.select(waited > 0.5, trips, lane.trips)
+        choose(lane, waited > 0.5, status=status, trips=trips)
 
     def differentiate(self, tables, rod, time, up, done):
         """The derivatives of the steps that have converged, in the lanes where ``done`` is one."""

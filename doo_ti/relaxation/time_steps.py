@@ -2,15 +2,14 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cache
-from types import SimpleNamespace
+from functools import cache, partial
 
 import numpy as np
 import taichi as ti
 
 from doo_ti.physics.number import Number
 from doo_ti.relaxation import tables as of
-from doo_ti.relaxation.batch import Launch, laid_out, layout_for, policy_row
+from doo_ti.relaxation.batch import launch, layout_for, policy_row
 from doo_ti.relaxation.contacts import RodContacts
 from doo_ti.relaxation.dense_elimination import DenseElimination
 from doo_ti.relaxation.kernel_factory import INDEX1, INDEX2, SCRATCH, TABLE1, TABLE2, TABLE3, TABLE4, loop_kernel
@@ -30,7 +29,7 @@ class DenseTimeSweep(DenseElimination, TimeImpact):
     """The time step of rods that may touch themselves."""
 
 
-# What kernels are given, in this order.
+# What kernels are given.
 STEPS = {
     "rest_length": TABLE2,  # [1 or configuration, edge] mm
     "clamp": TABLE2,  # [configuration, CLAMP_COLUMNS]
@@ -70,8 +69,7 @@ SLOPES = {
 @cache
 def time_kernel(number: Number, stride: int, block: int, isotropic: bool):
     """As :func:`.newton_kernel`, of steps; ``isotropic``: of round rods, straight at rest and undamped."""
-    sweep = TimeSweep(number, isotropic, stride)
-    return loop_kernel("make_steps", number, STEPS, TimeLoop(sweep).work, block), sweep.items
+    return loop_kernel("make_steps", number, STEPS, TimeLoop(TimeSweep(number, isotropic, stride)), block)
 
 
 @cache
@@ -83,15 +81,13 @@ def time_contact_kernel(number: Number, stride: int, block: int, isotropic: bool
         sweep = DenseTimeSweep(number, isotropic, stride, SelfContacts(number, has_grid, rub, moves))
     else:
         sweep = TimeImpact(number, isotropic, stride, RodContacts(number, has_grid, rub, moves))
-    given = STEPS | OBSTACLES | MOTIONS
-    return loop_kernel("make_steps_in_contact", number, given, TimeLoop(sweep).work, block, brief=True), sweep.items
+    return loop_kernel("make_steps_in_contact", number, STEPS | OBSTACLES | MOTIONS, TimeLoop(sweep), block, brief=True)
 
 
 @cache
 def time_slope_kernel(number: Number, stride: int, block: int):
     """The same for steps with their derivatives, in f64 and for any rods."""
-    sweep = TimeSlopes(number, stride)
-    return loop_kernel("make_steps_with_slopes", number, STEPS | SLOPES, TimeSlopeLoop(sweep).work, block), sweep.items
+    return loop_kernel("make_steps_with_slopes", number, STEPS | SLOPES, TimeSlopeLoop(TimeSlopes(number, stride)), block)
 
 
 @dataclass
@@ -190,32 +186,30 @@ def make_steps(table: Tables, memory: Memory, steps: Steps, numbers: np.ndarray,
     positions = room(table.count * frames, table.edges + 1, 3)
     positions[...] = np.nan
     outcome = np.zeros((table.count, frames, OUTCOMES))
-    contact = table.contact
-    forces = touches = None
+    outcome[:, :, STATE] = memory.status[:, None]
+    results = np.zeros((table.count, of.LOADED_RESULTS))
+    results[:, of.FORCE : of.FORCE + 3], results[:, of.DRIFT:] = memory.multiplier, memory.drift
+    contact, more = table.contact, {}
+    forces = touches = position_slopes = None
     if contact is not None:
         forces = room(table.count * frames, table.edges + 1, 3)
         forces[...] = 0.0
         touches = np.zeros((table.count * frames, table.edges + 1), dtype=np.int32)
-    outcome[:, :, STATE] = memory.status[:, None]
-    position_slopes = None
+        more = contact.arguments(forces, options.gap_tolerance, in_motion=True) | {
+            "touches": touches, "poses": np.zeros((1, 1, 1, 1)) if steps.poses is None else steps.poses,
+            "pair_memory": contact.pair_memory, "rod_memory": contact.rod_memory}
     if slopes is not None:
         position_slopes = room(table.count * frames, slopes.count, table.edges + 1, 3)
         position_slopes[...] = np.nan
-    poses = np.zeros((1, 1, 1, 1)) if steps.poses is None else steps.poses
-    results = np.zeros((table.count, of.LOADED_RESULTS))
-    results[:, of.FORCE : of.FORCE + 3], results[:, of.DRIFT:] = memory.multiplier, memory.drift
+        more = {"material_slopes": slopes.material.reshape(-1, slopes.material.shape[-1]), "number_slopes": slopes.numbers,
+                "share_slopes": slopes.shares, "slopes": slopes.memory, "position_slopes": position_slopes}
     for isotropic, part in table.by_material(rods):
-        kernel, threads, scratch, queue = _laid_out(table, isotropic, len(part), bits, slopes, steps.poses is not None)
-        more = ()
-        if contact is not None:
-            more = (*contact.arguments(forces, options.gap_tolerance, in_motion=True), touches, poses, contact.pair_memory,
-                    contact.rod_memory)
-        elif slopes is not None:
-            material = slopes.material.reshape(-1, slopes.material.shape[-1])
-            more = material, slopes.numbers, slopes.shares, slopes.memory, position_slopes
-        kernel(table.rest_length, table.clamp, steps.path, table.material, numbers, shares, part,
-               policy_row(table.up, options, bits), steps.time, count, steps.every, threads, scratch, queue,
-               memory.frames.reshape(-1), memory.frames_before.reshape(-1), memory.places, results, positions, outcome, *more)
+        launch(layout_for(len(part), bits, contact is not None and contact.itself),
+               _kernel_of(table, isotropic, slopes, steps.poses is not None), rest_length=table.rest_length, clamp=table.clamp,
+               path=steps.path, material=table.material, numbers=numbers, shares=shares, rods=part,
+               policy=policy_row(table.up, options, bits), time=steps.time, steps=count, every=steps.every,
+               frames=memory.frames.reshape(-1), frames_before=memory.frames_before.reshape(-1), places=memory.places,
+               results=results, positions=positions, outcome=outcome, **more)
     if len(rods):
         memory.multiplier[:], memory.drift[:] = results[:, of.FORCE : of.FORCE + 3], results[:, of.DRIFT:]
         memory.status[:] = outcome[:, -1, STATE].astype(memory.status.dtype)
@@ -227,14 +221,10 @@ def make_steps(table: Tables, memory: Memory, steps: Steps, numbers: np.ndarray,
     return positions.reshape(table.count, frames, table.edges + 1, 3), outcome, position_slopes, forces, touches
 
 
-def _laid_out(table: Tables, isotropic: bool, rods: int, bits: int, slopes: Slopes | None, moves: bool) -> Launch:
-    """The launch of so many rods of one kind, with obstacles that move if ``moves``."""
-    contact, given = table.contact, SimpleNamespace(rest_length=table.rest_length)
-    layout = layout_for(rods, bits, contact is not None and contact.itself)
+def _kernel_of(table: Tables, isotropic: bool, slopes: Slopes | None, moves: bool) -> Callable:
+    """What makes the kernel of rods of one kind, with obstacles that move if ``moves``."""
+    contact = table.contact
     if contact is not None:
-        given.kinds, known = contact.kinds, (contact.has_grid, contact.rubs, contact.itself, moves)
-        return laid_out(layout, lambda *layout: time_contact_kernel(*layout, isotropic, *known), given)
-    if slopes is not None:
-        given.number_slopes = slopes.numbers
-        return laid_out(layout, time_slope_kernel, given)
-    return laid_out(layout, lambda *layout: time_kernel(*layout, isotropic), given)
+        return partial(time_contact_kernel, isotropic=isotropic, has_grid=contact.has_grid, rub=contact.rubs,
+                       itself=contact.itself, moves=moves)
+    return time_slope_kernel if slopes is not None else partial(time_kernel, isotropic=isotropic)

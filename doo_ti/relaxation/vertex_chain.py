@@ -173,19 +173,20 @@ class VertexChain(pair.PairEnergy):
         change.top = ti.sqrt(change.top)
         return change
 
-    def load_rod(self, tables, origin, s, g):
-        """Start s and material g into a lane, whose vertex 0 is ``origin``; returns (longest edge, shortest edge)."""
+    def load_rod(self, tables, origin, start, s, g):
+        """Row ``start`` of the starts, with clamps s and material g, into a lane whose vertex 0 is ``origin``. Returns (longest
+        edge, shortest edge)."""
         edges = tables.start.shape[1]
         row = ti.min(s, tables.rest_length.shape[0] - 1)
         longest, shortest = (ti.cast(0.0, ti.f64), ti.cast(1e30, ti.f64))
         for v in range(edges + 1):
             at = self.vertex(origin, v)
-            at.position, at.force = read(tables.vertices, s, v, 0), repeated(ti.cast(0.0, ti.f64), 3)
+            at.position, at.force = read(tables.vertices, start, v, 0), repeated(ti.cast(0.0, ti.f64), 3)
             if v < edges:
                 longest = ti.max(longest, tables.rest_length[row, v])
                 shortest = ti.min(shortest, tables.rest_length[row, v])
                 at.length = tables.rest_length[row, v]
-                at.frame = read(tables.start, s, v, 0, count=4)
+                at.frame = read(tables.start, start, v, 0, count=4)
                 load_stiffness(at, tables.material, g, tables.rest_length, row, v, 1.0)
                 if v > 0:
                     at.inverse_length = 1.0 / (tables.rest_length[row, v - 1] + tables.rest_length[row, v])

@@ -5,6 +5,7 @@ import hashlib
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -118,7 +119,7 @@ THREADS, STRIDE = 7, 9
 
 
 def test_other_numbers_of_rods_need_no_other_kernels_on_a_gpu():
-    layouts = [batch.layout_of_gpu(count, 64) for count in range(1, 100_000, 17)]
+    layouts = [batch.layout_of_gpu(count, 64, batch.MOST_THREADS) for count in range(1, 100_000, 17)]
     assert len({stride for _, _, stride, _ in layouts}) <= 6
     assert all(stride >= threads for _, threads, stride, _ in layouts)
 
@@ -126,12 +127,19 @@ def test_other_numbers_of_rods_need_no_other_kernels_on_a_gpu():
 @pytest.mark.parametrize("numbers", [1 << 30, 1000])
 def test_scratch_holds_what_all_threads_need(monkeypatch, numbers):
     monkeypatch.setattr(batch.of, "MOST_NUMBERS", numbers)
-    sizes = []
+    sizes, launches = [], []
     monkeypatch.setattr(batch.runtime, "array_for", lambda key, size, kind: sizes.append(size))
-    launch = batch.laid_out(batch.layout_of_gpu(70, 64), lambda *layout: (layout, lambda given: 30), None)
-    _, stride, _ = launch.kernel
-    assert launch.threads <= stride and sizes == [stride * 30] and stride * 30 <= numbers
-    assert launch.threads == min(70, numbers // 30)
+
+    def kernel(number, stride, block):
+        def call(threads, **given):
+            launches.append((stride, threads))
+        call.loop = SimpleNamespace(items=lambda given: 30)
+        return call
+
+    batch.launch(batch.layout_of_gpu(70, 64, batch.MOST_THREADS), kernel)
+    (stride, threads), = launches
+    assert threads <= stride and sizes == [stride * 30] and stride * 30 <= numbers
+    assert threads == min(70, numbers // 30)
 
 
 DESCENT = Descent(tolerance=1e-3, max_iterations=20_000)
