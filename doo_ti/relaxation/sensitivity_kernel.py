@@ -79,7 +79,7 @@ def run_sensitivity(solution: Solution, usable: np.ndarray, directions: np.ndarr
     (R,) have them, of the R rods from ``first`` to ``last`` of a solution that are ``usable``; NaN in others.
 
     directions  (P, DIRECTION_COLUMNS); with P = 0 only the moments are computed, and no rod needs to be at a minimum
-    modes       (M, E−1, 2) changes of ω̄ at the joints that ``directions`` name by their row
+    modes       (M, E−1, 3) changes at the joints that ``directions`` name by their row: of ω̄, or of ln B and ln β
     rotations, loads  whether those are computed; without, they have no columns
 
     Loads are forces and moments of the clamps on the rod in the world: force at the start, moment there, the same at the end.
@@ -174,7 +174,7 @@ AT_REST = {
     "results": TABLE2,  # [row, LOADED_RESULTS] of which −λ and how far vertex 0 has moved are read
     "beyond": TABLE3,  # [row, edge, 3] forces of obstacles, see :func:`_beyond`
     "directions": TABLE2,  # [column, DIRECTION_COLUMNS]
-    "modes": TABLE3,  # [mode, joint, 2]
+    "modes": TABLE3,  # [mode, joint, 3]
     "columns": ti.i32, "threads": ti.i32, "scratch": SCRATCH,
     "sound": INDEX1,  # [row] out: one where there are results
 }
