@@ -240,23 +240,21 @@ class TimeSlopeLoop(TimeLoop):
     differentiates = True
 
     def exchanges(self, lane):
-        """Once all lanes with a rod have finished, and have been eliminated alike: without spins made before tilts, which adds
-        rounding to H, as lanes that wait are."""
-        return self.largest(lane.active * (1.0 - lane.finished * (1.0 - lane.spins_first))) < 0.5
+        """Once all lanes with a rod have finished."""
+        return self.largest(lane.active * (1.0 - lane.finished)) < 0.25
 
     def advance(self, tables, head, lane):
-        """A trip, in which lanes that wait keep their frames and repeat the elimination that they finished with, bit by bit:
-        rods do not depend on those beside which they wait."""
+        """A trip, in which lanes that wait keep their frames and repeat the elimination. Each does so once at least, so that
+        its factors do not depend on how long it waits for others: the first one at its final frames may be of a refused step,
+        or beside a smaller trace. Until then ``finished`` is a half."""
         zero, one = self.constant(0.0), self.constant(1.0)
-        waits = lane.finished > 0.5
+        waits = lane.finished > 0.25
         choose(lane, waits, trying=zero, closing=zero, escaping=zero, step_scale=zero)
-        waited = ti.select(waits, one, zero)
-        status, trips, scale = lane.status + zero, lane.trips + zero, lane.scale + zero
+        status, trips = lane.status + zero, lane.trips + zero
         self.trip(tables, head, lane)
         self.refuse(head, lane)
-        lane.finished = ti.max(lane.finished, waited)
-        choose(lane, waited > 0.5, status=status, trips=trips)
-        choose(lane, lane.finished > 0.5, scale=scale)  # of which a trace is on the diagonal of H
+        choose(lane, ~waits & (lane.finished > 0.5), finished=0.5 * one)
+        choose(lane, waits, status=status, trips=trips, finished=one)
 
     def differentiate(self, tables, rod, time, up, done):
         """The derivatives of the steps that have converged, in the lanes where ``done`` is one."""
