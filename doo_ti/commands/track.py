@@ -2,6 +2,7 @@
 
 import os
 from argparse import Namespace
+from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -74,7 +75,7 @@ def run(options: Namespace) -> int:
         written.append(out.with_suffix(".rrd"))
         record_track(written[-1], run_id=f"track {out.name}", name=out.stem, rig=task.frames.rig, paths=task.frames.paths,
                      vertices=result["vertices_mm"], error=result["camera_error_px"], how=result["how"], up=task.up)
-    summary = _summary(task, result, written)
+    summary = _summary(task, found, result, written)
     report(options, summary, lambda: _lines(summary))
     return 0 if np.isfinite(result["energy_vis"]).any() else 1
 
@@ -196,7 +197,7 @@ def _begun(task: TrackingTask, row: int, detected: list) -> tuple[np.ndarray, fl
 def _arrays(task: TrackingTask, rest_length: np.ndarray, found: list) -> dict[str, np.ndarray]:
     """The arrays of the file; docs/commands/track.md."""
     fields = {"vertices_mm": "vertices", "energy_vis": "energy_vis", "camera_error_px": "camera_error", "status": "status",
-            "stable": "stable", "how": "how"}
+            "stable": "stable", "how": "how", "verdict": "verdict"}
     time = {} if task.time is None else {"time_s": task.time[: len(found)]}
     return {
         "name": np.array(task.frames.names[: len(found)]), **time, "rest_length_mm": rest_length, "up": task.up,
@@ -205,14 +206,17 @@ def _arrays(task: TrackingTask, rest_length: np.ndarray, found: list) -> dict[st
     }
 
 
-def _summary(task: TrackingTask, result: dict, written: list[Path]) -> dict:
-    from doo_ti.perception.perceive import CERTAIN_MM
+def _summary(task: TrackingTask, found: list, result: dict, written: list[Path]) -> dict:
     from doo_ti.perception.tracking import How
+    from doo_ti.perception.verdict import CERTAIN_MM, PerceptionVerdict
 
     how, error, lengths = (result[name] for name in ("how", "camera_error_px", "rest_length_mm"))
     return {
         "frames": len(how), "cameras": task.frames.rig.names, "edges": len(lengths), "length_mm": lengths.sum(),
         **{each.name.lower(): result["name"][how == each] for each in How},
+        "verdicts": {each.name.lower(): result["name"][(how < How.LOST) & (result["verdict"] == each)]
+                     for each in PerceptionVerdict if each != PerceptionVerdict.NOT_FOUND},
+        "doubts": dict(Counter(doubt for frame in found for doubt in frame.doubts)),
         "stable": result["stable"].sum(), "uncertain": result["name"][result["sigma_mm"][:, 0] > CERTAIN_MM],
         "camera_error_px": error[np.isfinite(error)].mean() if (how < How.LOST).any() else None,
         "orientation": image_options.orientation_note(
@@ -222,7 +226,7 @@ def _summary(task: TrackingTask, result: dict, written: list[Path]) -> dict:
 
 
 def _lines(summary: dict) -> list[str]:
-    from doo_ti.perception.perceive import CERTAIN_MM
+    from doo_ti.perception.verdict import CERTAIN_MM
 
     lines = [f"{summary['frames']} frames of {len(summary['cameras'])} images, a rod of {summary['edges']} edges, "
              f"{summary['length_mm']:.4g} mm long",
@@ -233,6 +237,13 @@ def _lines(summary: dict) -> list[str]:
         if len(names) or key != "uncertain":
             named = f": {listed(names, MOST_LISTED)}" * bool(len(names))
             lines.append(f"  {key:<11} {counted(len(names), 'frame')} {words}{named}")
+    verdicts, doubts = summary["verdicts"], summary["doubts"]
+    if len(verdicts["ambiguous"]):
+        lines.append(f"  ambiguous   {counted(len(verdicts['ambiguous']), 'frame')} whose rod may well be another one: "
+                     f"{listed(verdicts['ambiguous'], MOST_LISTED)}")
+    if doubts:
+        lines.append(f"  doubts      {len(verdicts['clear'])} frames are clear; of others: "
+                     + ", ".join(f"{doubt} in {count}" for doubt, count in sorted(doubts.items(), key=lambda one: -one[1])))
     if summary["camera_error_px"] is not None:
         off = summary["camera_error_px"]
         lines.append(f"  images      {f'{off:.2f}' if off >= LEAST_SHOWN else f'less than {LEAST_SHOWN}'} px off on average; "

@@ -2,7 +2,7 @@
 
 The rod of the last frame is moved in a few ways, with its start and by its own motion; from each of these initial shapes it is
 relaxed under E_vis of the next images, and the one with the least E_vis until it converges. Where that is not on the detected
-line, or is on it much worse than before, Algorithm 1 searches for the rod again.
+line, or is on it much worse than before, or its verdict is not at least *likely*, Algorithm 1 searches for the rod again.
 
     tracker = Tracker(rig, rest_length, Material(bend=6e5, twist=8e5))
     frames = [tracker.see(detected, point, direction) for detected, point, direction in video]
@@ -19,8 +19,9 @@ from numpy.typing import ArrayLike
 from doo_ti.contact.surroundings import Surroundings
 from doo_ti.motion.path import Motion
 from doo_ti.motion.predict import predict_step
-from doo_ti.perception.perceive import check_seeds, checked_rod, checked_seeds, perceive
-from doo_ti.perception.search import Hypotheses, PerceptionOptions, Search
+from doo_ti.perception.perceive import check_seeds, checked_rod, checked_seeds, perceive, perception_of
+from doo_ti.perception.search import Finalists, Hypotheses, PerceptionOptions, Search, evidence
+from doo_ti.perception.verdict import Perception, PerceptionVerdict
 from doo_ti.rod.frames import conjugate, quaternion_product, smallest_rotation, tangent_from_quaternion
 from doo_ti.rod.shapes import end_clamps
 from doo_ti.rod.types import Clamp, Configuration, Material, Status
@@ -75,12 +76,14 @@ class TrackedFrame:
     """The rod in one frame; NaN where it is lost.
 
     vertices      (V, 3) mm
-    sigma         (V,) mm, as :class:`doo_ti.perception.perceive.Perception` has it
+    sigma         (V,) mm, as :class:`doo_ti.perception.verdict.Perception` has it
     energy_vis    E_vis, 1/mm, over the cameras that see a thread
     camera_error  (C,) px: distance to the detection, mean along the rod; NaN in a camera that sees no thread
     status        Status of the last relaxation; NOT_FINITE where there was none
     stable        certified to be a minimum of E_vis
     how           How
+    verdict       PerceptionVerdict of the rod in this frame; of a tracked one without rivals
+    doubts        why it is not clear, names of :attr:`.Perception.doubts`
     """
 
     vertices: np.ndarray
@@ -90,6 +93,8 @@ class TrackedFrame:
     status: Status
     stable: bool
     how: How
+    verdict: PerceptionVerdict = PerceptionVerdict.AMBIGUOUS
+    doubts: tuple[str, ...] = ()
 
     def begun_uncertainly(self, sigma: float, off: float) -> "TrackedFrame":
         """The same with a rod whose first two vertices are uncertain by ``sigma`` and ``off`` mm from the thread."""
@@ -121,17 +126,23 @@ def seen_vertices(frame: TrackedFrame, rig: Rig, detected: list[Detection], with
 
 @dataclass(frozen=True)
 class _Rod:
-    """One rod in pieces, in one frame; ``camera_error`` is of the cameras that see a thread there."""
+    """One rod in pieces, in one frame, as it was relaxed, and what is known of it in the cameras that see a thread there."""
 
     configuration: Configuration
     energy_vis: float
-    camera_error: np.ndarray
-    status: int
-    stable: bool
+    found: Perception
+
+    @property
+    def camera_error(self) -> np.ndarray:
+        return self.found.camera_error[0]
 
     @property
     def converged(self) -> bool:
-        return self.status == Status.CONVERGED
+        return self.found.status[0] == Status.CONVERGED
+
+    @property
+    def verdict(self) -> PerceptionVerdict:
+        return PerceptionVerdict(self.found.verdict[0])
 
 
 @typed
@@ -177,13 +188,12 @@ class Tracker:
                         direction, self._rest_length, self._material, self._up, self._search,
                         check_seeds(self._surroundings, point))
         rod, how = None if self._last is None else self._tracked(search, far), How.TRACKED
-        if rod is None or not (self._sound(rod) and rod.camera_error.mean() - self._usual <= self._options.worse_px):
+        if rod is None or not self._goes_on(rod):
             self._usual = np.inf
             found = perceive(search.maps, search.rig, search.point, search.direction, self._rest_length, self._material,
                              up=self._up, options=self._search, surroundings=self._surroundings)
-            seeded = _Rod(found.configuration, found.energy_vis[0], found.camera_error[0], found.status[0], found.stable[0])
-            if rod is None or (seeded.converged if seeded.converged != rod.converged
-                               else seeded.energy_vis < (1 - BETTER) * rod.energy_vis):
+            seeded = _Rod(found.configuration, found.energy_vis[0], found)
+            if rod is None or self._is_better(seeded, rod):
                 rod, how = seeded, How.SEEDED
         if not self._sound(rod):
             return self._lost()
@@ -195,9 +205,13 @@ class Tracker:
         longer = replace(search, options=replace(search.options, growing_iterations=ITERATIONS))
         rested = longer.nearly_relaxed(Hypotheses(np.zeros(len(starts), dtype=np.int64), starts, np.zeros(len(starts))))
         final, solution = search.relaxed(rested.take(np.array([np.argmin(rested.energy_vis)])))
-        vertices = solution.configuration.vertices
-        error = search.errors(vertices, 0, search.piece_points).camera_error / search.image_length(vertices)
-        return _Rod(solution.configuration, final.energy_vis[0], error[0], solution.status[0], solution.stable[0])
+        rods, one = solution.configuration, np.zeros(1, dtype=np.int64)
+        energy, covered = evidence(search.rig, search.maps, rods, one, self._material, self._up, self._search,
+                                   search.piece_points)
+        certified = (solution.status == Status.CONVERGED) & solution.stable
+        alone = Finalists(one, rods, energy, solution.status, certified, covered.share, covered.line, np.full(1, np.nan))
+        found = perception_of(search, alone, one, np.full((1, 0), -1), np.zeros(1))
+        return _Rod(rods, final.energy_vis[0], found)
 
     def _starts(self, search: Search, far: Motion | None) -> np.ndarray:
         """(K, E, 4): the last rod unchanged, rotated with the seed, rotated as in the step before, and carried by the far
@@ -225,27 +239,43 @@ class Tracker:
 
     def _sound(self, rod: _Rod) -> bool:
         """Whether the rod has converged on the detected line."""
-        return rod.converged and np.sort(rod.camera_error)[FEWEST_CAMERAS - 1] <= self._options.lost_px
+        if not rod.converged or rod.verdict == PerceptionVerdict.NOT_FOUND:
+            return False
+        return np.sort(rod.camera_error)[FEWEST_CAMERAS - 1] <= self._options.lost_px
+
+    def _goes_on(self, rod: _Rod) -> bool:
+        """Whether the tracked rod needs no second opinion."""
+        worse = rod.camera_error.mean() - self._usual > self._options.worse_px
+        return self._sound(rod) and not worse and rod.verdict <= PerceptionVerdict.LIKELY
+
+    @staticmethod
+    def _is_better(seeded: _Rod, tracked: _Rod) -> bool:
+        """Whether Algorithm 1 has found a better rod than the one before, moved."""
+        if seeded.converged != tracked.converged:
+            return seeded.converged
+        if (seeded.verdict <= PerceptionVerdict.LIKELY) != (tracked.verdict <= PerceptionVerdict.LIKELY):
+            return seeded.verdict <= PerceptionVerdict.LIKELY
+        return seeded.energy_vis < (1 - BETTER) * tracked.energy_vis
 
     def _kept(self, rod: _Rod, how: How, search: Search) -> TrackedFrame:
         """The result of a frame; the rod is stored for the next one."""
-        turn = None
+        turn, found = None, rod.found
         if how == How.TRACKED:  # the difference to a rod found by Algorithm 1 is no motion
             now, before = (self._whole(one) for one in (rod, self._last))
             turn = quaternion_product(now.quaternions[0], conjugate(before.quaternions[0]))
         self._turn, self._last, self._usual = turn, rod, min(self._usual, rod.camera_error.mean())
-        shape, _ = search.sharpened(rod.configuration, np.ones(1, dtype=bool))
         error = np.full(len(self._rig.cameras), np.nan)
         error[[self._rig.names.index(name) for name in search.rig.names]] = rod.camera_error
-        vertices, sigma = shape.vertices[0, :: search.options.pieces], search.sigma(shape)[0]
-        return TrackedFrame(vertices, sigma, rod.energy_vis, np.maximum(error, 0.0), Status(rod.status), bool(rod.stable), how)
+        doubts = tuple(name for name, own in found.doubts.items() if own[0])
+        return TrackedFrame(found.vertices[0], found.sigma[0], rod.energy_vis, error, Status(found.status[0]),
+                            bool(found.stable[0]), how, rod.verdict, doubts)
 
     def _lost(self) -> TrackedFrame:
         """The rod is lost: the next frame begins with Algorithm 1."""
         self._last = self._turn = None
         vertices = np.full((len(self._rest_length) + 1, 3), np.nan)
         return TrackedFrame(vertices, vertices[:, 0], np.nan, np.full(len(self._rig.cameras), np.nan), Status.NOT_FINITE,
-                            False, How.LOST)
+                            False, How.LOST, PerceptionVerdict.NOT_FOUND, ())
 
 
 def _aimed(quaternions: np.ndarray, direction: np.ndarray) -> np.ndarray:
