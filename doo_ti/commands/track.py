@@ -19,10 +19,11 @@ from doo_ti.io.motion_file import load_path
 from doo_ti.rod.types import Clamp, Clamps, Material
 from doo_ti.system.arguments import counted
 from doo_ti.system.errors import InputError, InterruptedRunError
-from doo_ti.system.terminal import can_record, in_line, progress
+from doo_ti.system.terminal import can_record, in_line, progress, warn
 from doo_ti.vision.images import SEED, SEEDS, ImageSets, cameras_in, clicks_in, images_in, seed_columns
 
 MOST_LISTED = 30
+WORSE = 1.5  # times E_vis of the next frame, from which on that rod is tried
 LEAST_SHOWN = 0.01  # px: smaller errors are less than the noise of the smoothed images
 
 
@@ -140,31 +141,59 @@ def _far_motions(path: Path, frames: int) -> list:
     return [motion_between(motion.at(moment, rests), motion.at(moment + 1, rests)) for moment in range(frames - 1)]
 
 
+@dataclass(frozen=True)
+class _Start:
+    """Where the rod begins in a frame, mm, by how much that is uncertain, and in which direction."""
+
+    point: np.ndarray
+    sigma: float
+    direction: np.ndarray
+
+
 def _tracked(task: TrackingTask) -> tuple[np.ndarray, list, str | None]:
     """(E,) mm, the tracked frames, and the error that ended tracking, or None. An error before the first frame is raised."""
     from doo_ti.perception.tracking import Tracker
+    from doo_ti.perception.verdict import PerceptionVerdict
 
-    frames, rest_length, found = task.frames, task.rest_length, []
+    frames, rest_length, found, starts, off, seen, problem = task.frames, task.rest_length, [], [], [], [], None
     try:
         with progress() as bar:
             shown = bar.add_task("tracking", total=frames.count, unit="frames")
             for row, detected in enumerate(image_options.detections(task.sight, frames.paths, frames.rig.cameras)):
+                start = starts[-1] if starts else None
                 if frames.point is not None or frames.clicks[row]:
-                    point, sigma, direction, length = _begun(task, row, detected)
+                    start, length = _begun(task, row, detected, start)
                 if row == 0:
                     rest_length = task.length_bounds.rest_length(length) if rest_length is None else rest_length
                     tracker = Tracker(frames.rig, rest_length, task.material, up=task.up, surroundings=task.surroundings)
                 far = None if task.far is None or row == 0 else task.far[row - 1]
-                frame = tracker.see(detected, point, direction, far)
-                if frames.point is None:
-                    frame = frame.begun_uncertainly(sigma, _off_thread(frames.rig, detected, point))
+                frame = tracker.see(detected, start.point, start.direction, far)
                 found.append(frame)
+                starts.append(start)
+                off.append(_off_thread(frames.rig, detected, start.point) if frames.point is None else 0.0)
+                seen.append(None if frame.verdict == PerceptionVerdict.CLEAR else detected)
                 bar.advance(shown)
-    except (InputError, OSError, KeyboardInterrupt) as problem:
+            _look_back(tracker, found, seen, starts)
+    except (InputError, OSError, KeyboardInterrupt) as error:
         if not found:
             raise
-        return rest_length, found, str(problem) or "interrupted"
-    return rest_length, found, None
+        problem = str(error) or "interrupted"
+    if frames.point is None:
+        found = [frame.begun_uncertainly(start.sigma, away) for frame, start, away in zip(found, starts, off, strict=False)]
+    return rest_length, found, problem
+
+
+def _look_back(tracker, found: list, seen: list, starts: list[_Start]) -> None:
+    """Follow rods back into earlier frames in which they were not found, or much worse than in the next: the first frames of a
+    video, and those in which a rod was hidden. ``seen``: the detections of frames that are not clear."""
+    from doo_ti.perception.tracking import How
+    from doo_ti.perception.verdict import PerceptionVerdict
+
+    for row in range(len(found) - 2, -1, -1):
+        now, after = found[row], found[row + 1]
+        worse = now.how == How.LOST or now.verdict > after.verdict or now.energy_vis > WORSE * after.energy_vis
+        if worse and seen[row] is not None and after.verdict <= PerceptionVerdict.LIKELY:
+            found[row] = tracker.revised(now, after, seen[row], starts[row].point, starts[row].direction)
 
 
 def _off_thread(rig, detected: list, point: np.ndarray) -> float:
@@ -174,24 +203,32 @@ def _off_thread(rig, detected: list, point: np.ndarray) -> float:
     return float(np.sort(off)[min(2, len(off)) - 1])
 
 
-def _begun(task: TrackingTask, row: int, detected: list) -> tuple[np.ndarray, float, np.ndarray, float]:
-    """Where the rod begins in a frame, mm by which that is uncertain, in which direction, and how long the thread is from there
-    on, mm; NaN where that need not be known. Raises InputError where no thread can be followed."""
+def _begun(task: TrackingTask, row: int, detected: list, before: _Start | None) -> tuple[_Start, float]:
+    """The start of a frame, and how long the thread is from there on, mm; NaN where that need not be known. Where nothing was
+    detected at a click it is that of the frame ``before``. Raises InputError where no thread can be followed."""
     from doo_ti.perception.seeds import seed_from_pixels, whole_threads
 
     frames, direction, sigma = task.frames, None, 0.0
     source = f"{frames.source}: {in_line(frames.names[row])}"
     if frames.point is None:
-        seed = seed_from_pixels(frames.rig, detected, frames.clicks[row], source)
+        try:
+            seed = seed_from_pixels(frames.rig, detected, frames.clicks[row], source, before and before.point)
+        except InputError as error:
+            if before is None:
+                raise
+            warn(f"{source}: {error.problem}; the start of the frame before is taken")
+            return before, np.nan
         point, sigma = seed.point, seed.sigma
     else:
         point, direction = frames.point[row], frames.direction[row : row + 1]
         if row or task.rest_length is not None:
-            return point, sigma, direction[0], np.nan
+            return _Start(point, sigma, direction[0]), np.nan
     thread = whole_threads(frames.rig, [detected], point[None], direction, task.material, task.up)
     if np.isnan(thread.length[0]):
+        if before is not None:
+            return before, np.nan
         raise InputError(source, "seed", "no thread can be followed from it", "give another, or --rest-length")
-    return point, sigma, thread.direction[0], float(thread.length[0])
+    return _Start(point, sigma, thread.direction[0]), float(thread.length[0])
 
 
 def _arrays(task: TrackingTask, rest_length: np.ndarray, found: list) -> dict[str, np.ndarray]:

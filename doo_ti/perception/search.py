@@ -278,20 +278,26 @@ class Finalists:
 
 def finalists(search: Search, grown: Hypotheses) -> Finalists:
     """The rods that ``grown`` become when they are relaxed and, in sets where none of these is convincing, traced rods."""
-    hypotheses, solution = search.relaxed(grown)
+    own, found = explained(search, *search.relaxed(grown))
+    if found is None:
+        return own
+    convincing = own.certified & (found.share >= CONVINCING).all(axis=1) & (found.error <= CLOSE_PX * found.line).all(axis=1)
+    convincing &= _clearly_seen(search, own.configuration, own.of_set)
+    doubtful = np.setdiff1d(np.arange(len(search.point)), own.of_set[convincing])
+    return own if not len(doubtful) else _with_traced(search, own, doubtful)
+
+
+def explained(search: Search, hypotheses: Hypotheses, solution: Solution) -> tuple[Finalists, Coverage | None]:
+    """The relaxed ``hypotheses``, and what of the detected lines they explain; None where that does not count."""
     of_set, energy, options = hypotheses.of_set, hypotheses.energy_vis, search.options
     certified = (solution.status == Status.CONVERGED) & solution.stable
-    detections = search.maps.detections
-    if detections is None or options.evidence == "rod":
-        unknown = np.full((len(of_set), len(search.rig.cameras)), np.nan)
-        return Finalists(of_set, solution.configuration, energy, solution.status, certified, unknown, unknown, unknown[:, 0])
-    found = coverage(search.rig, solution.configuration.vertices, of_set, detections, options.cap)
-    own = Finalists(of_set, solution.configuration, energy + options.nu * found.error.sum(axis=1), solution.status, certified,
-                    found.share, found.line, np.full(len(of_set), np.nan))
-    convincing = certified & (found.share >= CONVINCING).all(axis=1) & (found.error <= CLOSE_PX * found.line).all(axis=1)
-    convincing &= _clearly_seen(search, solution.configuration, of_set)
-    doubtful = np.setdiff1d(np.arange(len(search.point)), of_set[convincing])
-    return own if not len(doubtful) else _with_traced(search, own, doubtful)
+    unknown = np.full((len(of_set), len(search.rig.cameras)), np.nan)
+    if search.maps.detections is None or options.evidence == "rod":
+        return Finalists(of_set, solution.configuration, energy, solution.status, certified, unknown, unknown,
+                         unknown[:, 0]), None
+    found = coverage(search.rig, solution.configuration.vertices, of_set, search.maps.detections, options.cap)
+    return Finalists(of_set, solution.configuration, energy + options.nu * found.error.sum(axis=1), solution.status, certified,
+                     found.share, found.line, unknown[:, 0]), found
 
 
 def _clearly_seen(search: Search, rods: Configuration, of_set: np.ndarray) -> np.ndarray:

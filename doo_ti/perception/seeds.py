@@ -66,16 +66,21 @@ class _Place:
     along: float  # px: its standard deviation along the line; infinite where only another camera says where it is
 
 
-def seed_from_pixels(rig: Rig, detections: Sequence[Detection], clicks: Mapping[int, Sequence[float]], source: str) -> Seed:
+def seed_from_pixels(rig: Rig, detections: Sequence[Detection], clicks: Mapping[int, Sequence[float]], source: str,
+                     before: np.ndarray | None = None) -> Seed:
     """Where the rod begins.
 
     detections  of the C cameras
     clicks      camera: (u, v) px; one or more
+    before      (3,) mm, where it began a moment before, if known: other places count as worse by how far away they are, px
 
     Raises InputError, naming ``source``, for a single camera, and where no thread is near a click, or nothing in another image
     belongs to it.
     """
     tried = [(cost, _settled(*rest)) for cost, *rest in _beginnings(rig, detections, clicks, source)]
+    if before is not None:
+        tried = [(cost + float(np.linalg.norm(rig.project(seed.point) - rig.project(before), axis=-1).mean()), seed)
+                 for cost, seed in tried]
     least, best = min(tried, key=lambda one: one[0])
     apart = max(np.linalg.norm(seed.point - best.point) * np.exp(-(((cost - least) / ALIKE_COST) ** 2)) for cost, seed in tried)
     return replace(best, sigma=float(np.hypot(best.sigma, apart / np.sqrt(3))))

@@ -20,9 +20,16 @@ from doo_ti.contact.surroundings import Surroundings
 from doo_ti.motion.path import Motion
 from doo_ti.motion.predict import predict_step
 from doo_ti.perception.perceive import check_seeds, checked_rod, checked_seeds, perceive, perception_of
-from doo_ti.perception.search import Finalists, Hypotheses, PerceptionOptions, Search, evidence
+from doo_ti.perception.search import Hypotheses, PerceptionOptions, Search, explained
 from doo_ti.perception.verdict import Perception, PerceptionVerdict
-from doo_ti.rod.frames import conjugate, quaternion_product, smallest_rotation, tangent_from_quaternion
+from doo_ti.rod.frames import (
+    conjugate,
+    edge_frames,
+    quaternion_from_matrix,
+    quaternion_product,
+    smallest_rotation,
+    tangent_from_quaternion,
+)
 from doo_ti.rod.shapes import end_clamps
 from doo_ti.rod.types import Clamp, Configuration, Material, Status
 from doo_ti.system.arguments import typed
@@ -83,7 +90,7 @@ class TrackedFrame:
     stable        certified to be a minimum of E_vis
     how           How
     verdict       PerceptionVerdict of the rod in this frame; of a tracked one without rivals
-    doubts        why it is not clear, names of :attr:`.Perception.doubts`
+    doubts        why it is not clear, names of :attr:`.Perception.doubts`; of a lost one why what was found is not the rod
     """
 
     vertices: np.ndarray
@@ -128,9 +135,12 @@ def seen_vertices(frame: TrackedFrame, rig: Rig, detected: list[Detection], with
 class _Rod:
     """One rod in pieces, in one frame, as it was relaxed, and what is known of it in the cameras that see a thread there."""
 
-    configuration: Configuration
-    energy_vis: float
     found: Perception
+    configuration: Configuration
+
+    @property
+    def energy_vis(self) -> float:
+        return self.found.energy_vis[0]
 
     @property
     def camera_error(self) -> np.ndarray:
@@ -177,41 +187,59 @@ class Tracker:
 
         Raises InputError as :func:`doo_ti.perception.perceive.perceive` does.
         """
+        search = self._search_in(detected, point, direction)
+        if search is None:
+            return self._lost()
+        rod, how = None if self._last is None else self._relaxed(search, self._starts(search, far)), How.TRACKED
+        if rod is None or not self._goes_on(rod):
+            self._usual = np.inf
+            found = perceive(search.maps, search.rig, search.point, search.direction, self._rest_length, self._material,
+                             up=self._up, options=self._search, surroundings=self._surroundings)
+            seeded = _Rod(found, found.configuration)
+            if rod is None or _is_better(seeded, rod):
+                rod, how = seeded, How.SEEDED
+        if not self._sound(rod):
+            return self._lost(rod.found)
+        turn = None
+        if how == How.TRACKED:  # the difference to a rod found by Algorithm 1 is no motion
+            now, before = (self._whole(one) for one in (rod, self._last))
+            turn = quaternion_product(now.quaternions[0], conjugate(before.quaternions[0]))
+        self._turn, self._last, self._usual = turn, rod, min(self._usual, rod.camera_error.mean())
+        return self._frame(rod, how, search)
+
+    @typed
+    def revised(self, frame: TrackedFrame, after: TrackedFrame, detected: list[Detection], point: ArrayLike,
+                direction: ArrayLike) -> TrackedFrame:
+        """``frame``, or the rod of the frame ``after`` it, relaxed in its images, where that is better. Other arguments as of
+        :meth:`see`, which does not depend on this. Raises InputError as that does."""
+        search = self._search_in(detected, point, direction)
+        if search is None or after.how == How.LOST:
+            return frame
+        edges = quaternion_from_matrix(edge_frames(np.diff(after.vertices, axis=0)[None], search.first[..., 1]))[0]
+        rod = self._relaxed(search, np.stack([edges, _aimed(edges, search.direction)]))
+        likely = [one.verdict <= PerceptionVerdict.LIKELY for one in (rod, frame)]
+        better = likely[0] if likely[0] != likely[1] else not rod.energy_vis >= (1 - BETTER) * frame.energy_vis
+        return self._frame(rod, How.TRACKED, search) if self._sound(rod) and better else frame
+
+    def _search_in(self, detected: list[Detection], point: ArrayLike, direction: ArrayLike) -> Search | None:
+        """The search in the images of one frame, None where too few show anything. Raises InputError."""
         names = self._rig.names
         if len(detected) != len(names):
             raise InputError("Tracker.see", "detected", f"{len(detected)}", f"give one for each camera, {len(names)}")
         point, direction = checked_seeds("Tracker.see", point, direction, 1)
         seeing = [name for name, found in zip(names, detected, strict=True) if found.count]
         if len(seeing) < FEWEST_CAMERAS:
-            return self._lost()
-        search = Search(distance_maps([[found for found in detected if found.count]]), self._rig.only(seeing), point,
-                        direction, self._rest_length, self._material, self._up, self._search,
-                        check_seeds(self._surroundings, point))
-        rod, how = None if self._last is None else self._tracked(search, far), How.TRACKED
-        if rod is None or not self._goes_on(rod):
-            self._usual = np.inf
-            found = perceive(search.maps, search.rig, search.point, search.direction, self._rest_length, self._material,
-                             up=self._up, options=self._search, surroundings=self._surroundings)
-            seeded = _Rod(found.configuration, found.energy_vis[0], found)
-            if rod is None or self._is_better(seeded, rod):
-                rod, how = seeded, How.SEEDED
-        if not self._sound(rod):
-            return self._lost()
-        return self._kept(rod, how, search)
+            return None
+        return Search(distance_maps([[found for found in detected if found.count]]), self._rig.only(seeing), point, direction,
+                      self._rest_length, self._material, self._up, self._search, check_seeds(self._surroundings, point))
 
-    def _tracked(self, search: Search, far: Motion | None) -> _Rod:
-        """The last rod relaxed in this frame, from the best of its initial shapes."""
-        starts = self._starts(search, far)
+    def _relaxed(self, search: Search, starts: np.ndarray) -> _Rod:
+        """The rod relaxed in a frame, from the best of its initial shapes ``starts`` (K, E, 4)."""
         longer = replace(search, options=replace(search.options, growing_iterations=ITERATIONS))
         rested = longer.nearly_relaxed(Hypotheses(np.zeros(len(starts), dtype=np.int64), starts, np.zeros(len(starts))))
-        final, solution = search.relaxed(rested.take(np.array([np.argmin(rested.energy_vis)])))
-        rods, one = solution.configuration, np.zeros(1, dtype=np.int64)
-        energy, covered = evidence(search.rig, search.maps, rods, one, self._material, self._up, self._search,
-                                   search.piece_points)
-        certified = (solution.status == Status.CONVERGED) & solution.stable
-        alone = Finalists(one, rods, energy, solution.status, certified, covered.share, covered.line, np.full(1, np.nan))
-        found = perception_of(search, alone, one, np.full((1, 0), -1), np.zeros(1))
-        return _Rod(rods, final.energy_vis[0], found)
+        alone, _ = explained(search, *search.relaxed(rested.take(np.array([np.argmin(rested.energy_vis)]))))
+        found = perception_of(search, alone, np.zeros(1, dtype=np.int64), np.full((1, 0), -1), np.zeros(1))
+        return _Rod(found, alone.configuration)
 
     def _starts(self, search: Search, far: Motion | None) -> np.ndarray:
         """(K, E, 4): the last rod unchanged, rotated with the seed, rotated as in the step before, and carried by the far
@@ -248,34 +276,33 @@ class Tracker:
         worse = rod.camera_error.mean() - self._usual > self._options.worse_px
         return self._sound(rod) and not worse and rod.verdict <= PerceptionVerdict.LIKELY
 
-    @staticmethod
-    def _is_better(seeded: _Rod, tracked: _Rod) -> bool:
-        """Whether Algorithm 1 has found a better rod than the one before, moved."""
-        if seeded.converged != tracked.converged:
-            return seeded.converged
-        if (seeded.verdict <= PerceptionVerdict.LIKELY) != (tracked.verdict <= PerceptionVerdict.LIKELY):
-            return seeded.verdict <= PerceptionVerdict.LIKELY
-        return seeded.energy_vis < (1 - BETTER) * tracked.energy_vis
-
-    def _kept(self, rod: _Rod, how: How, search: Search) -> TrackedFrame:
-        """The result of a frame; the rod is stored for the next one."""
-        turn, found = None, rod.found
-        if how == How.TRACKED:  # the difference to a rod found by Algorithm 1 is no motion
-            now, before = (self._whole(one) for one in (rod, self._last))
-            turn = quaternion_product(now.quaternions[0], conjugate(before.quaternions[0]))
-        self._turn, self._last, self._usual = turn, rod, min(self._usual, rod.camera_error.mean())
-        error = np.full(len(self._rig.cameras), np.nan)
+    def _frame(self, rod: _Rod, how: How, search: Search) -> TrackedFrame:
+        """The result of a frame."""
+        found, error = rod.found, np.full(len(self._rig.cameras), np.nan)
         error[[self._rig.names.index(name) for name in search.rig.names]] = rod.camera_error
-        doubts = tuple(name for name, own in found.doubts.items() if own[0])
         return TrackedFrame(found.vertices[0], found.sigma[0], rod.energy_vis, error, Status(found.status[0]),
-                            bool(found.stable[0]), how, rod.verdict, doubts)
+                            bool(found.stable[0]), how, rod.verdict, _doubts(found))
 
-    def _lost(self) -> TrackedFrame:
-        """The rod is lost: the next frame begins with Algorithm 1."""
+    def _lost(self, found: Perception | None = None) -> TrackedFrame:
+        """The rod is lost: the next frame begins with Algorithm 1. ``found``: what it found here, which is not the rod."""
         self._last = self._turn = None
-        vertices = np.full((len(self._rest_length) + 1, 3), np.nan)
+        vertices, doubts = np.full((len(self._rest_length) + 1, 3), np.nan), () if found is None else _doubts(found)
         return TrackedFrame(vertices, vertices[:, 0], np.nan, np.full(len(self._rig.cameras), np.nan), Status.NOT_FINITE,
-                            False, How.LOST, PerceptionVerdict.NOT_FOUND, ())
+                            False, How.LOST, PerceptionVerdict.NOT_FOUND, doubts)
+
+
+def _doubts(found: Perception) -> tuple[str, ...]:
+    """Why the first rod is not clear."""
+    return tuple(name for name, own in found.doubts.items() if own[0])
+
+
+def _is_better(seeded: _Rod, tracked: _Rod) -> bool:
+    """Whether Algorithm 1 has found a better rod than the one before, moved."""
+    if seeded.converged != tracked.converged:
+        return seeded.converged
+    if (seeded.verdict <= PerceptionVerdict.LIKELY) != (tracked.verdict <= PerceptionVerdict.LIKELY):
+        return seeded.verdict <= PerceptionVerdict.LIKELY
+    return seeded.energy_vis < (1 - BETTER) * tracked.energy_vis
 
 
 def _aimed(quaternions: np.ndarray, direction: np.ndarray) -> np.ndarray:
