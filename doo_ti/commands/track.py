@@ -23,7 +23,6 @@ from doo_ti.system.terminal import can_record, in_line, progress, warn
 from doo_ti.vision.images import SEED, SEEDS, ImageSets, cameras_in, clicks_in, images_in, seed_columns
 
 MOST_LISTED = 30
-WORSE = 1.5  # times E_vis of the next frame, from which on that rod is tried
 LEAST_SHOWN = 0.01  # px: smaller errors are less than the noise of the smoothed images
 
 
@@ -162,7 +161,8 @@ def _tracked(task: TrackingTask) -> tuple[np.ndarray, list, str | None]:
             for row, detected in enumerate(image_options.detections(task.sight, frames.paths, frames.rig.cameras)):
                 start = starts[-1] if starts else None
                 if frames.point is not None or frames.clicks[row]:
-                    start, length = _begun(task, row, detected, start)
+                    known = row > 0 and found[-1].verdict <= PerceptionVerdict.LIKELY
+                    start, length = _begun(task, row, detected, start, known)
                 if row == 0:
                     rest_length = task.length_bounds.rest_length(length) if rest_length is None else rest_length
                     tracker = Tracker(frames.rig, rest_length, task.material, up=task.up, surroundings=task.surroundings)
@@ -184,15 +184,16 @@ def _tracked(task: TrackingTask) -> tuple[np.ndarray, list, str | None]:
 
 
 def _look_back(tracker, found: list, seen: list, starts: list[_Start]) -> None:
-    """Follow rods back into earlier frames in which they were not found, or much worse than in the next: the first frames of a
+    """Follow rods back into earlier frames in which they were not found, or fit worse than in the next: the first frames of a
     video, and those in which a rod was hidden. ``seen``: the detections of frames that are not clear."""
     from doo_ti.perception.tracking import How
     from doo_ti.perception.verdict import PerceptionVerdict
 
     for row in range(len(found) - 2, -1, -1):
         now, after = found[row], found[row + 1]
-        worse = now.how == How.LOST or now.verdict > after.verdict or now.energy_vis > WORSE * after.energy_vis
-        if worse and seen[row] is not None and after.verdict <= PerceptionVerdict.LIKELY:
+        likely = after.verdict <= PerceptionVerdict.LIKELY
+        worse = likely if now.how == How.LOST else now.verdict > after.verdict or now.energy_vis > after.energy_vis
+        if worse and seen[row] is not None:
             found[row] = tracker.revised(now, after, seen[row], starts[row].point, starts[row].direction)
 
 
@@ -203,16 +204,18 @@ def _off_thread(rig, detected: list, point: np.ndarray) -> float:
     return float(np.sort(off)[min(2, len(off)) - 1])
 
 
-def _begun(task: TrackingTask, row: int, detected: list, before: _Start | None) -> tuple[_Start, float]:
+def _begun(task: TrackingTask, row: int, detected: list, before: _Start | None, known: bool) -> tuple[_Start, float]:
     """The start of a frame, and how long the thread is from there on, mm; NaN where that need not be known. Where nothing was
-    detected at a click it is that of the frame ``before``. Raises InputError where no thread can be followed."""
+    detected at a click it is that of the frame ``before``; if that is ``known`` to be right it is near there. Raises InputError
+    where no thread can be followed."""
     from doo_ti.perception.seeds import seed_from_pixels, whole_threads
 
     frames, direction, sigma = task.frames, None, 0.0
     source = f"{frames.source}: {in_line(frames.names[row])}"
     if frames.point is None:
         try:
-            seed = seed_from_pixels(frames.rig, detected, frames.clicks[row], source, before and before.point)
+            near = before.point if known else None
+            seed = seed_from_pixels(frames.rig, detected, frames.clicks[row], source, near)
         except InputError as error:
             if before is None:
                 raise

@@ -217,9 +217,8 @@ class Tracker:
             return frame
         edges = quaternion_from_matrix(edge_frames(np.diff(after.vertices, axis=0)[None], search.first[..., 1]))[0]
         rod = self._relaxed(search, np.stack([edges, _aimed(edges, search.direction)]))
-        likely = [one.verdict <= PerceptionVerdict.LIKELY for one in (rod, frame)]
-        better = likely[0] if likely[0] != likely[1] else not rod.energy_vis >= (1 - BETTER) * frame.energy_vis
-        return self._frame(rod, How.TRACKED, search) if self._sound(rod) and better else frame
+        better = self._sound(rod) and not rod.energy_vis >= (1 - BETTER) * frame.energy_vis
+        return self._frame(rod, How.TRACKED, search) if better else frame
 
     def _search_in(self, detected: list[Detection], point: ArrayLike, direction: ArrayLike) -> Search | None:
         """The search in the images of one frame, None where too few show anything. Raises InputError."""
@@ -300,8 +299,6 @@ def _is_better(seeded: _Rod, tracked: _Rod) -> bool:
     """Whether Algorithm 1 has found a better rod than the one before, moved."""
     if seeded.converged != tracked.converged:
         return seeded.converged
-    if (seeded.verdict <= PerceptionVerdict.LIKELY) != (tracked.verdict <= PerceptionVerdict.LIKELY):
-        return seeded.verdict <= PerceptionVerdict.LIKELY
     return seeded.energy_vis < (1 - BETTER) * tracked.energy_vis
 
 
