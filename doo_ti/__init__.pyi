@@ -59,6 +59,8 @@ from doo_ti.motion.predict import predict as predict
 from doo_ti.motion.predict import predict_moving as predict_moving
 from doo_ti.motion.predict import predict_step as predict_step
 from doo_ti.perception.growth import Hypotheses as Hypotheses
+from doo_ti.perception.perceive import Perception as Perception
+from doo_ti.perception.perceive import PerceptionVerdict as PerceptionVerdict
 from doo_ti.perception.perceive import perceive as perceive
 from doo_ti.perception.search import PerceptionOptions as PerceptionOptions
 from doo_ti.perception.tracking import How as How
@@ -72,8 +74,6 @@ from doo_ti.perception.twist import TwistVerdict as TwistVerdict
 from doo_ti.perception.twist import estimate_twist as estimate_twist
 from doo_ti.perception.twist_curves import consecutive_groups as consecutive_groups
 from doo_ti.perception.twist_curves import end_offsets as end_offsets
-from doo_ti.perception.verdict import Perception as Perception
-from doo_ti.perception.verdict import PerceptionVerdict as PerceptionVerdict
 from doo_ti.record.sweep import SweepTrajectory as SweepTrajectory
 from doo_ti.record.sweep import record_sweep as record_sweep
 from doo_ti.refinement.refine import Refinement as Refinement

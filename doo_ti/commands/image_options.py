@@ -173,8 +173,8 @@ def warn_of_rig(options: Namespace, sets, length: float, verdicts: np.ndarray, d
     """Print a warning where found rods of ``length`` mm are in another unit, and where the lines ``detected`` in the first
     clicked set that is not clear fit together much better if the rig's file is read otherwise, by options that were not given.
     """
+    from doo_ti.perception.perceive import PerceptionVerdict
     from doo_ti.perception.seeds import fit_better
-    from doo_ti.perception.verdict import PerceptionVerdict
 
     if likely_unit(length) or (verdicts != PerceptionVerdict.NOT_FOUND).any():  # of what is not found a unit explains some
         warn_of_length(options, length)

@@ -166,8 +166,7 @@ def _left(sets, failed: dict[int, InputError]) -> np.ndarray:
 
 def _perceived(task: PerceptionTask, detected: list[list], seed_sigma: np.ndarray, bar):
     """(Perception of all sets, GrowthSteps of those that are recorded): in groups whose maps fit into memory."""
-    from doo_ti.perception.perceive import perceive
-    from doo_ti.perception.verdict import Perception
+    from doo_ti.perception.perceive import Perception, perceive
     from doo_ti.vision.distance_map import distance_maps
 
     sets, edges = task.sets, len(task.rest_length)
@@ -215,7 +214,7 @@ def _sigma(task: PerceptionTask, found) -> np.ndarray:
 
 def _found(found) -> np.ndarray:
     """(S,) bool: the rod is a certified minimum, and the thread in the images."""
-    from doo_ti.perception.verdict import PerceptionVerdict
+    from doo_ti.perception.perceive import PerceptionVerdict
 
     return found.sound & (found.verdict != PerceptionVerdict.NOT_FOUND)
 
@@ -251,7 +250,7 @@ def _shown(options: Namespace, task: PerceptionTask, detected: list[list], found
 
 def _summary(task: PerceptionTask, detected: list[list], found, failed: dict[int, InputError], written: list[Path]) -> dict:
     """The content of ``--json``, from which the lines of text are made."""
-    from doo_ti.perception.verdict import PerceptionVerdict
+    from doo_ti.perception.perceive import PerceptionVerdict
 
     sets = [{
         "name": name, "length_mm": task.rest_length.sum(), "status": Status(found.status[row]).name.lower(),
@@ -292,7 +291,7 @@ def _verdict_text(found, row: int) -> str:
 
 
 def _word(verdict: int) -> str:
-    from doo_ti.perception.verdict import PerceptionVerdict
+    from doo_ti.perception.perceive import PerceptionVerdict
 
     return PerceptionVerdict(verdict).name.lower().replace("_", " ")
 

@@ -158,7 +158,7 @@ def summary_lines(summary: dict) -> list[str]:
 
 def _unround(summary: dict) -> str | None:
     """What to say of a rod that is not round, where the marks say so; None else."""
-    from doo_ti.refinement.extensions import UNROUND
+    from doo_ti.refinement.adequacy import UNROUND
 
     found = next((one for one in summary["advice"] if one["meaning"] == UNROUND and one["gain"] > DECISIVE), None)
     return found and f"{UNROUND} explains the marks far better; the intervals are those of a round rod: give {found['option']}"

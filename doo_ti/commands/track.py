@@ -151,8 +151,8 @@ class _Start:
 
 def _tracked(task: TrackingTask) -> tuple[np.ndarray, list, str | None]:
     """(E,) mm, the tracked frames, and the error that ended tracking, or None. An error before the first frame is raised."""
+    from doo_ti.perception.perceive import PerceptionVerdict
     from doo_ti.perception.tracking import Tracker
-    from doo_ti.perception.verdict import PerceptionVerdict
 
     frames, rest_length, found, starts, off, seen, problem = task.frames, task.rest_length, [], [], [], [], None
     try:
@@ -186,8 +186,8 @@ def _tracked(task: TrackingTask) -> tuple[np.ndarray, list, str | None]:
 def _look_back(tracker, found: list, seen: list, starts: list[_Start]) -> None:
     """Follow rods back into earlier frames in which they were not found, or fit worse than in the next: the first frames of a
     video, and those in which a rod was hidden. ``seen``: the detections of frames that are not clear."""
+    from doo_ti.perception.perceive import PerceptionVerdict
     from doo_ti.perception.tracking import How
-    from doo_ti.perception.verdict import PerceptionVerdict
 
     for row in range(len(found) - 2, -1, -1):
         now, after = found[row], found[row + 1]
@@ -247,8 +247,8 @@ def _arrays(task: TrackingTask, rest_length: np.ndarray, found: list) -> dict[st
 
 
 def _summary(task: TrackingTask, found: list, result: dict, written: list[Path]) -> dict:
+    from doo_ti.perception.perceive import CERTAIN_MM, PerceptionVerdict
     from doo_ti.perception.tracking import How
-    from doo_ti.perception.verdict import CERTAIN_MM, PerceptionVerdict
 
     how, error, lengths = (result[name] for name in ("how", "camera_error_px", "rest_length_mm"))
     return {
@@ -266,7 +266,7 @@ def _summary(task: TrackingTask, found: list, result: dict, written: list[Path])
 
 
 def _lines(summary: dict) -> list[str]:
-    from doo_ti.perception.verdict import CERTAIN_MM
+    from doo_ti.perception.perceive import CERTAIN_MM
 
     lines = [f"{summary['frames']} frames of {len(summary['cameras'])} images, a rod of {summary['edges']} edges, "
              f"{summary['length_mm']:.4g} mm long",

@@ -16,9 +16,9 @@ import numpy as np
 import taichi as ti
 from scipy.linalg import solveh_banded
 
+from doo_ti.rod.frames import curve_length, normal_to
 from doo_ti.system import runtime
 from doo_ti.vision.cameras import Rig
-from doo_ti.vision.curves import curve_length, normal_to
 from doo_ti.vision.paths import ImagePath
 from doo_ti.vision.triangulation import rays
 

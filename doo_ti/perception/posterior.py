@@ -48,11 +48,10 @@ from scipy.spatial import cKDTree
 from doo_ti.contact.surroundings import Surroundings
 from doo_ti.relaxation.newton import Newton
 from doo_ti.relaxation.relax import relax
-from doo_ti.rod.frames import across, unit_vectors
+from doo_ti.rod.frames import across, normal_to, unit_vectors
 from doo_ti.rod.shapes import end_clamps
 from doo_ti.rod.types import Clamp, Configuration, Material, Status, put_rods
 from doo_ti.vision.cameras import Rig
-from doo_ti.vision.curves import normal_to
 from doo_ti.vision.detection import NEAR_PX, Detection, thinned
 from doo_ti.vision.distance_map import ALIKE, coverage
 from doo_ti.vision.image_energy import AssignedPoints

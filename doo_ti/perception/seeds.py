@@ -1,18 +1,15 @@
 """Where a rod begins, found in the images: from a clicked pixel, or from two (docs/perception.md).
 
-A click names the end of the detected line that is nearest, or a place on it. In a camera without a click the rod begins at an
-end, or at a place, of the detected line near the epipolar line of the click. Of several choices the one is taken whose rays
-meet and whose paths from there on belong together best. The rod begins on the curve along these paths, where the ends, or
-clicks, are, each as far as it is certain. Of three cameras or more some may not see where the rod begins.
+A click names the end of the detected line that is nearest, or a place on it; in a camera without one the rod begins at an end,
+or a place, near the epipolar line of the click. Of several choices the one is taken whose rays meet and whose paths from there
+on belong together best. The rod begins on the curve along these paths, where the ends, or clicks, are, each as far as it is
+certain. Of three cameras or more some may not see where it begins.
 
-Threads of unknown length, from a seed to where they end in the images (docs/perception.md).
-
-Between cameras that are close together a rod that is too long folds along the line of sight, and explains the images as well
-as a shorter one: to end where the paths end does not determine its length. So it is chosen as everything else is, by E_vis
-with evidence from both sides. The best rods are relaxed again with lengths a little shorter and longer. Lengths whose E_vis
-exceeds the least one by less than what makes a runner-up ambiguous explain the images as well: they are the range of the
-thread's length. Within that, it is the one with which the best rod ends where its paths end. The range is wider by what the
-ends of lines tell of those of threads, which may be cut or round.
+Threads of unknown length end where they end in the images. Between cameras that are close together a rod that is too long folds
+along the line of sight, and explains the images as well as a shorter one. So its length is chosen by E_vis with evidence from
+both sides, too: the best rods are relaxed again with lengths a little shorter and longer. The range of the length are those
+whose E_vis is not worse by what makes a runner-up ambiguous, and what round ends of lines hide; in it the rod ends where its
+paths end.
 
 Axes: A image sets, R rods, L lengths.
 """
@@ -26,10 +23,10 @@ from scipy.interpolate import PchipInterpolator
 from doo_ti.perception.matching import MOST_PLACES, curve_of, epipolar_distance, likely_matches
 from doo_ti.perception.search import PerceptionOptions, evidence
 from doo_ti.perception.traced import PATHS, whole_rods
+from doo_ti.rod.frames import normal_to
 from doo_ti.rod.types import Material
 from doo_ti.system.errors import InputError
 from doo_ti.vision.cameras import Rig
-from doo_ti.vision.curves import normal_to
 from doo_ti.vision.detection import CLICK_PX, Detection, thinned
 from doo_ti.vision.distance_map import distance_maps
 from doo_ti.vision.paths import Chains, paths_from
@@ -72,15 +69,15 @@ def seed_from_pixels(rig: Rig, detections: Sequence[Detection], clicks: Mapping[
 
     detections  of the C cameras
     clicks      camera: (u, v) px; one or more
-    before      (3,) mm, where it began a moment before, if known: other places count as worse by how far away they are, px
+    before      (3,) mm, where it began a moment before, if known: other places count as worse by how far they are, px
 
-    Raises InputError, naming ``source``, for a single camera, and where no thread is near a click, or nothing in another image
-    belongs to it.
+    Raises InputError, naming ``source``, for a single camera, and where no thread is near a click, or no other line fits.
     """
     tried = [(cost, _settled(*rest)) for cost, *rest in _beginnings(rig, detections, clicks, source)]
     if before is not None:
-        tried = [(cost + float(np.linalg.norm(rig.project(seed.point) - rig.project(before), axis=-1).mean()), seed)
-                 for cost, seed in tried]
+        away = rig.project(np.stack([seed.point for _, seed in tried])) - rig.project(before[None])
+        far = np.nan_to_num(np.linalg.norm(away, axis=-1).mean(axis=0), nan=1e6)  # NaN: behind a camera
+        tried = [(cost + more, seed) for (cost, seed), more in zip(tried, far, strict=True)]
     least, best = min(tried, key=lambda one: one[0])
     apart = max(np.linalg.norm(seed.point - best.point) * np.exp(-(((cost - least) / ALIKE_COST) ** 2)) for cost, seed in tried)
     return replace(best, sigma=float(np.hypot(best.sigma, apart / np.sqrt(3))))
@@ -93,6 +90,8 @@ def fit_better(rig: Rig, others: Mapping[str, Rig], detections: Sequence[Detecti
     first = min(clicks)
     pair = first, next(camera for camera in range(len(detections)) if camera != first)
     images, click = [detections[camera] for camera in pair], {0: clicks[first]}
+    if _clicked(images[0], Chains.of(images[0]), np.asarray(clicks[first], dtype=float), "").along == INSIDE_PX:
+        return []  # within a line, not where it begins: nothing is compared from there on
 
     def least(one: Rig) -> float:
         try:
@@ -322,9 +321,8 @@ def whole_threads(rig: Rig, detections: Sequence[Sequence[Detection]], point: np
 
 
 def _of_ends(rig: Rig, images: Sequence[Detection], vertices: np.ndarray) -> float:
-    """mm by which the rod ``vertices`` (V, 3) may be longer or shorter, because in each image the line ends within half the
-    thread's width, and the blur of the image, of where its axis does. The rod ends where the lines do on average, but for
-    images that hardly show how far it reaches."""
+    """mm by which the rod ``vertices`` (V, 3) may be longer or shorter: a line ends within half the thread's width, and the blur
+    of the image, of its axis. The rod ends where lines do on average, but for images that hardly show how far it reaches."""
     half, total = 0.5 * np.array([detection.width_px for detection in images]) + BLUR_PX, 0.0
     for outer, inner in ((0, 1), (-1, -2)):
         step = np.linalg.norm(vertices[outer] - vertices[inner])
@@ -334,10 +332,8 @@ def _of_ends(rig: Rig, images: Sequence[Detection], vertices: np.ndarray) -> flo
 
 
 def _profiled(length: np.ndarray, energy: np.ndarray, slack: float) -> tuple[float, tuple[float, float]]:
-    """The length of the thread, and the least and the largest one whose energy exceeds the least by ``slack`` at most.
-
-    length, energy  (R, L) of rods with TIMES their length
-    """
+    """The length of the thread, and the least and the largest one whose energy (R, L) exceeds the least by ``slack`` at most, of
+    rods with TIMES their ``length`` (R, L)."""
     fine, values = [], []
     for tried, found in zip(length, energy, strict=True):
         if np.isfinite(found).all():

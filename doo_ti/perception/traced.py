@@ -21,11 +21,10 @@ import numpy as np
 from doo_ti.perception.matching import Match, curve_of, likely_matches
 from doo_ti.relaxation.newton import Newton
 from doo_ti.relaxation.relax import relax
-from doo_ti.rod.frames import across, bishop_frames, quaternion_from_matrix, unit_vectors
+from doo_ti.rod.frames import across, arc_lengths, bishop_frames, placed, quaternion_from_matrix, unit_vectors
 from doo_ti.rod.shapes import end_clamps
 from doo_ti.rod.types import Clamp, Configuration, Material, Solution
 from doo_ti.vision.cameras import Rig
-from doo_ti.vision.curves import arc_lengths, placed
 from doo_ti.vision.detection import Detection
 from doo_ti.vision.image_energy import AssignedPoints
 from doo_ti.vision.paths import Chains, ImagePath, paths_from

@@ -19,9 +19,16 @@ from numpy.typing import ArrayLike
 from doo_ti.contact.surroundings import Surroundings
 from doo_ti.motion.path import Motion
 from doo_ti.motion.predict import predict_step
-from doo_ti.perception.perceive import check_seeds, checked_rod, checked_seeds, perceive, perception_of
+from doo_ti.perception.perceive import (
+    Perception,
+    PerceptionVerdict,
+    check_seeds,
+    checked_rod,
+    checked_seeds,
+    perceive,
+    perception_of,
+)
 from doo_ti.perception.search import Hypotheses, PerceptionOptions, Search, explained
-from doo_ti.perception.verdict import Perception, PerceptionVerdict
 from doo_ti.rod.frames import (
     conjugate,
     edge_frames,
@@ -83,7 +90,7 @@ class TrackedFrame:
     """The rod in one frame; NaN where it is lost.
 
     vertices      (V, 3) mm
-    sigma         (V,) mm, as :class:`doo_ti.perception.verdict.Perception` has it
+    sigma         (V,) mm, as :class:`doo_ti.perception.perceive.Perception` has it
     energy_vis    E_vis, 1/mm, over the cameras that see a thread
     camera_error  (C,) px: distance to the detection, mean along the rod; NaN in a camera that sees no thread
     status        Status of the last relaxation; NOT_FINITE where there was none

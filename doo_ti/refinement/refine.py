@@ -19,9 +19,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from doo_ti.contact.surroundings import Surroundings
-from doo_ti.refinement.adequacy import Adequacy, Mislabelled, Score, adequacy, mislabelled, scores
+from doo_ti.refinement.adequacy import Adequacy, Mislabelled, Score, adequacy, mislabelled, scores, with_stiffness_along
 from doo_ti.refinement.estimate import Estimate, estimated, within_reach
-from doo_ti.refinement.extensions import with_stiffness_along
 from doo_ti.refinement.fit import FINE
 from doo_ti.refinement.held_rod import HeldRod
 from doo_ti.refinement.rolls import bent, most_probable

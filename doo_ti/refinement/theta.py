@@ -6,7 +6,7 @@ marginal likelihood (:mod:`doo_ti.refinement.evidence`).
 
     marks           σ of a mark's coordinate, mm; fixed at one where the observations state their own σ
     frames          σ of each component of a measured m1
-    curvature       d of the rest curvature, 1/mm (:class:`doo_ti.refinement.fields.Field`)
+    curvature       d of the rest curvature, 1/mm (:class:`doo_ti.refinement.mesh.Field`)
     range           ρ of the rest curvature, mm
     stiffness       d of ln of the bend stiffness along the rod
     stiffness_range  its ρ, mm

@@ -6,7 +6,7 @@
     twist, weight           ln β, ln μ
     up                      two tilts from the present up, rad
     clip_start, clip_end    mm from the outer mark inwards to where a clip ends; negative where it ends before that mark
-    curvature               L ω̄ at the knots of :mod:`doo_ti.refinement.fields`, two components each, or of the whole rod
+    curvature               L ω̄ at the knots of :mod:`doo_ti.refinement.mesh`, two components each, or of the whole rod
     stiffness               ln B along the rod at these knots, less its mean, and as much of ln β
     clamps                  constant errors of the reported frames: a rotation of each in its own axes, and one in the world's
     spacing                 ln of the rod's length between neighbouring marks over that which the observations state
@@ -25,9 +25,8 @@ from functools import cached_property
 
 import numpy as np
 
-from doo_ti.refinement.fields import Field, knots_of, values_at
 from doo_ti.refinement.held_rod import POSE, HeldRod
-from doo_ti.refinement.mesh import Lengths, Mesh
+from doo_ti.refinement.mesh import Field, Lengths, Mesh, knots_of, values_at
 from doo_ti.refinement.theta import Scales, Theta, common_rod, slope_of_entry
 from doo_ti.rod.frames import rotation_matrix, tilt_axes, tilts_between
 from doo_ti.rod.types import Material

@@ -25,9 +25,9 @@ import cv2
 import numpy as np
 from scipy.spatial import cKDTree
 
+from doo_ti.rod.frames import curve_length, normal_to
 from doo_ti.system.arguments import typed
 from doo_ti.system.errors import InputError
-from doo_ti.vision.curves import curve_length, normal_to
 from doo_ti.vision.detection import (
     Detection,
     DetectionOptions,

@@ -8,9 +8,9 @@ from typing import Annotated
 import numpy as np
 from scipy.spatial import cKDTree
 
+from doo_ti.rod.frames import arc_lengths, curve_length, normal_to
 from doo_ti.system.arguments import short_repr, typed
 from doo_ti.system.errors import InputError
-from doo_ti.vision.curves import arc_lengths, curve_length, normal_to
 
 METHODS = ("ridge", "canny")
 POLARITIES = ("dark", "light")

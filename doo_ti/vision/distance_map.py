@@ -26,11 +26,11 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
+from doo_ti.rod.frames import arc_lengths, placed
 from doo_ti.system import runtime
 from doo_ti.system.arguments import short_repr, typed
 from doo_ti.system.errors import InputError
 from doo_ti.vision.cameras import Rig
-from doo_ti.vision.curves import arc_lengths, placed
 from doo_ti.vision.detection import NEAR_PX, Detection, thinned
 from doo_ti.vision.triangulation import rays
 

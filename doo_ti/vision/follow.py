@@ -18,10 +18,9 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
-from doo_ti.rod.frames import unit_vectors
+from doo_ti.rod.frames import arc_lengths, normal_to, placed, unit_vectors
 from doo_ti.system.arguments import typed
 from doo_ti.system.errors import InputError
-from doo_ti.vision.curves import arc_lengths, normal_to, placed
 from doo_ti.vision.detection import Detection, DetectionOptions, check_image, cropped, moved
 from doo_ti.vision.ridge import TOLERANCE, WORKING_WIDTH, Curvature, as_colour, lab, likeness, likeness_table
 

@@ -30,10 +30,10 @@ from doo_ti.physics.number import Layout, Number
 from doo_ti.physics.tuples import minus, plus, put_lane, record, repeated, scaled
 from doo_ti.relaxation.external import External, ExternalFunctions
 from doo_ti.relaxation.tables import MOST_NUMBERS
+from doo_ti.rod.frames import normal_to
 from doo_ti.system.arguments import typed
 from doo_ti.system.errors import InputError
 from doo_ti.vision.cameras import Rig
-from doo_ti.vision.curves import normal_to
 from doo_ti.vision.distance_map import DistanceMaps
 from doo_ti.vision.edge_integral import (
     COLUMNS,

@@ -14,8 +14,7 @@ from functools import cached_property
 import numpy as np
 from scipy.spatial import cKDTree
 
-from doo_ti.rod.frames import unit_vectors
-from doo_ti.vision.curves import arc_lengths, curve_length, placed
+from doo_ti.rod.frames import arc_lengths, curve_length, placed, unit_vectors
 from doo_ti.vision.detection import NEXT_PX, SHORTEST_PX, Detection, chains_of, outward, single
 
 WIDEST_GAP = 0.3  # of the image's height: the longest gap that a path crosses

@@ -16,11 +16,11 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from doo_ti.rod.frames import arc_lengths, placed
 from doo_ti.rod.types import LARGEST
 from doo_ti.system.errors import InputError
 from doo_ti.system.files import csv_text, write_text, write_whole
 from doo_ti.vision.cameras import Camera, Rig
-from doo_ti.vision.curves import arc_lengths, placed
 from doo_ti.vision.images import SEED
 from doo_ti.vision.rig_files import save_rig
 from doo_ti.vision.tubes import DRAWN_BLUR_PX, Tube, draw, smooth_curve

@@ -26,8 +26,7 @@ import cv2
 import numpy as np
 from scipy.spatial import cKDTree
 
-from doo_ti.rod.frames import unit_vectors
-from doo_ti.vision.curves import normal_to
+from doo_ti.rod.frames import normal_to, unit_vectors
 
 REACH_PX = 0.75  # pixels this near to a line give a point of it, so that points are at most a pixel apart in any direction
 FIRST_REACH_PX, FIRST_REACH = 2.0, 0.5

@@ -10,9 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from doo_ti.rod.frames import unit_vectors
+from doo_ti.rod.frames import arc_lengths, unit_vectors
 from doo_ti.vision.cameras import Camera
-from doo_ti.vision.curves import arc_lengths
 
 DRAWN_BLUR_PX = 6**-0.5  # standard deviation of the hat function over which a pixel integrates
 ACROSS = 4  # number of places across the covered part of a pixel where shading is evaluated

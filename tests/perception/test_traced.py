@@ -24,8 +24,7 @@ from doo_ti.perception.matching import Match, best_matches, curve_of, likely_mat
 from doo_ti.perception.posterior import detected_places, line_trees, lines_at, vertex_sigma
 from doo_ti.perception.seeds import Seed, fit_better, seed_from_pixels, whole_threads
 from doo_ti.perception.traced import SMOOTHNESS
-from doo_ti.rod.frames import unit_vectors
-from doo_ti.vision.curves import arc_lengths, curve_length, normal_to, placed
+from doo_ti.rod.frames import arc_lengths, curve_length, normal_to, placed, unit_vectors
 from doo_ti.vision.distance_map import coverage, misread
 from doo_ti.vision.images import load_sets, read_image
 from doo_ti.vision.paths import ImagePath
@@ -165,6 +164,19 @@ def test_a_level_arch_does_not_begin_at_its_other_end(angle, height, rng):
     images = views(rig, points, 0.2, rng)
     start = begun(rig, images, points).point
     assert np.linalg.norm(start - points[0]) < 1.0
+
+
+def test_a_thread_begins_near_where_it_did_a_moment_before(rng):
+    """Also where the rays of opposite ends meet, of a level arch."""
+    rig, s = cameras(30.0, third=False), np.linspace(-1, 1, 2001)
+    points = np.stack([40 * s, -10 * (1 - s**2), 8 * np.sin(1.5 * s)], axis=1)
+    first, second = rig.cameras
+    rays = np.stack([points[0] - first.centre, second.centre - points[-1]], axis=1)
+    along = np.linalg.lstsq(rays, second.centre - first.centre, rcond=None)[0][0] * rays[:, 0]
+    images, click = views(rig, points, 0.2, rng), {0: first.project(points[0])}
+    again = seed_from_pixels(rig, images, click, "test", first.centre + along)
+    assert np.linalg.norm(again.point - first.centre - along) < 0.02 * np.linalg.norm(along)
+    assert np.linalg.norm(seed_from_pixels(rig, images, click, "test", points[0]).point - points[0]) < 1.0
 
 
 @pytest.mark.parametrize(("angle", "turn"), [(10.0, 0.0), (20.0, 0.0), (30.0, 1.0), (10.0, 2.0)])

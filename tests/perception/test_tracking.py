@@ -21,6 +21,7 @@ from doo_ti import (
     rod_along,
 )
 from doo_ti.motion.path import Motion, motion_between
+from doo_ti.perception.perceive import PerceptionVerdict
 from doo_ti.perception.search import PerceptionOptions, Search
 from doo_ti.perception.tracking import How, TrackedFrame, Tracker, TrackingOptions, seen_vertices
 from doo_ti.rod.frames import across, matrix_from_quaternion, quaternion_about, unit_vectors
@@ -97,6 +98,20 @@ def tracked(video, truth, material=MATERIAL, far=None, search=PerceptionOptions(
     found = [tracker.see(frame, rod[0], rod[1] - rod[0], None if far is None or row == 0 else far[row - 1])
              for row, (frame, rod) in enumerate(zip(video, truth, strict=True))]
     return found, np.linalg.norm([frame.vertices for frame in found] - truth, axis=-1).mean(axis=1)
+
+
+def test_a_lost_frame_is_followed_back_from_the_next(video):
+    """And one with another rod; the right one stays."""
+    tracker = Tracker(three_cameras(), REST_LENGTH, MATERIAL)
+    found = [tracker.see(video[k], rods()[k, 0], rods()[k, 1] - rods()[k, 0]) for k in range(2)]
+    seed = rods()[0, 0], rods()[0, 1] - rods()[0, 0]
+    assert found[0].verdict == PerceptionVerdict.CLEAR and found[1].verdict <= PerceptionVerdict.LIKELY
+    lost = Tracker(three_cameras(), REST_LENGTH, MATERIAL).see([NOTHING] * 3, *seed)
+    other = replace(found[0], vertices=found[0].vertices[:, [1, 0, 2]], energy_vis=1e3 * found[0].energy_vis)
+    for frame in (lost, other):
+        again = tracker.revised(frame, found[1], video[0], *seed)
+        assert again.how == How.TRACKED and np.linalg.norm(again.vertices - rods()[0], axis=-1).max() < 0.3
+    assert tracker.revised(found[0], lost, video[0], *seed) is found[0]
 
 
 @pytest.mark.parametrize("frames", [6, pytest.param(FRAMES, marks=pytest.mark.thorough)])

@@ -4,8 +4,7 @@ import cv2
 import numpy as np
 
 from doo_ti import Camera, Detection, DistanceMaps, Rig
-from doo_ti.rod.frames import unit_vectors
-from doo_ti.vision.curves import normal_to
+from doo_ti.rod.frames import normal_to, unit_vectors
 from tests.oracle.reprojection import Map, polyline_distance
 
 

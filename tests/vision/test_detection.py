@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from doo_ti import DetectionOptions, detect, load_rig
-from doo_ti.vision.curves import arc_lengths
+from doo_ti.rod.frames import arc_lengths
 from doo_ti.vision.images import read_image
 from doo_ti.vision.render import RenderOptions, render_set
 from doo_ti.vision.tubes import smooth_curve

@@ -7,8 +7,8 @@ import pytest
 import taichi as ti
 
 from doo_ti import Camera, Detection, Rig, detect
+from doo_ti.rod.frames import normal_to
 from doo_ti.vision import sampling
-from doo_ti.vision.curves import normal_to
 from doo_ti.vision.distance_map import COMPARED_PX, distance_maps
 from doo_ti.vision.render import RenderOptions, render_set
 from tests.conftest import check_refused

@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from doo_ti.rod.frames import unit_vectors
-from doo_ti.vision.curves import arc_lengths, placed
+from doo_ti.rod.frames import arc_lengths, placed, unit_vectors
 from doo_ti.vision.detection import Detection
 from doo_ti.vision.paths import Chains, paths_from
 from tests.vision.scenes import line_of

@@ -20,9 +20,8 @@ from doo_ti import Detection, DetectionOptions, DistanceMaps, Material, Rig, det
 from doo_ti.commands.results import status_text
 from doo_ti.io.scene import Synthesis
 from doo_ti.learning.landscape import status_counts
-from doo_ti.perception.perceive import perceive
+from doo_ti.perception.perceive import Perception, PerceptionVerdict, perceive
 from doo_ti.perception.search import PerceptionOptions
-from doo_ti.perception.verdict import Perception, PerceptionVerdict
 from doo_ti.perception.virtual_lab import LabRods, lab_rods
 from doo_ti.vision.render import Photographs, RenderOptions
 from doo_ti.vision.tubes import smooth_curve
