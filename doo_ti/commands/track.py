@@ -154,20 +154,21 @@ def _tracked(task: TrackingTask) -> tuple[np.ndarray, list, str | None]:
     from doo_ti.perception.perceive import PerceptionVerdict
     from doo_ti.perception.tracking import Tracker
 
-    frames, rest_length, found, starts, off, seen, problem = task.frames, task.rest_length, [], [], [], [], None
+    frames, rest_length, known, problem = task.frames, task.rest_length, None, None
+    found, starts, off, seen = [], [], [], []
     try:
         with progress() as bar:
             shown = bar.add_task("tracking", total=frames.count, unit="frames")
             for row, detected in enumerate(image_options.detections(task.sight, frames.paths, frames.rig.cameras)):
                 start = starts[-1] if starts else None
                 if frames.point is not None or frames.clicks[row]:
-                    known = row > 0 and found[-1].verdict <= PerceptionVerdict.LIKELY
                     start, length = _begun(task, row, detected, start, known)
                 if row == 0:
                     rest_length = task.length_bounds.rest_length(length) if rest_length is None else rest_length
                     tracker = Tracker(frames.rig, rest_length, task.material, up=task.up, surroundings=task.surroundings)
                 far = None if task.far is None or row == 0 else task.far[row - 1]
                 frame = tracker.see(detected, start.point, start.direction, far)
+                known = start.point if frame.verdict <= PerceptionVerdict.LIKELY else known
                 found.append(frame)
                 starts.append(start)
                 off.append(_off_thread(frames.rig, detected, start.point) if frames.point is None else 0.0)
@@ -204,18 +205,18 @@ def _off_thread(rig, detected: list, point: np.ndarray) -> float:
     return float(np.sort(off)[min(2, len(off)) - 1])
 
 
-def _begun(task: TrackingTask, row: int, detected: list, before: _Start | None, known: bool) -> tuple[_Start, float]:
+def _begun(task: TrackingTask, row: int, detected: list, before: _Start | None, known: np.ndarray | None
+           ) -> tuple[_Start, float]:
     """The start of a frame, and how long the thread is from there on, mm; NaN where that need not be known. Where nothing was
-    detected at a click it is that of the frame ``before``; if that is ``known`` to be right it is near there. Raises InputError
-    where no thread can be followed."""
+    detected at a click it is that of the frame ``before``; else it is near the last one ``known`` to be right. Raises
+    InputError where no thread can be followed."""
     from doo_ti.perception.seeds import seed_from_pixels, whole_threads
 
     frames, direction, sigma = task.frames, None, 0.0
     source = f"{frames.source}: {in_line(frames.names[row])}"
     if frames.point is None:
         try:
-            near = before.point if known else None
-            seed = seed_from_pixels(frames.rig, detected, frames.clicks[row], source, near)
+            seed = seed_from_pixels(frames.rig, detected, frames.clicks[row], source, known)
         except InputError as error:
             if before is None:
                 raise
@@ -257,6 +258,7 @@ def _summary(task: TrackingTask, found: list, result: dict, written: list[Path])
         "verdicts": {each.name.lower(): result["name"][(how < How.LOST) & (result["verdict"] == each)]
                      for each in PerceptionVerdict if each != PerceptionVerdict.NOT_FOUND},
         "doubts": dict(Counter(doubt for frame in found for doubt in frame.doubts)),
+        "start_sigma_mm": np.nanmax(result["sigma_mm"][:, 0], initial=0.0),
         "stable": result["stable"].sum(), "uncertain": result["name"][result["sigma_mm"][:, 0] > CERTAIN_MM],
         "camera_error_px": error[np.isfinite(error)].mean() if (how < How.LOST).any() else None,
         "orientation": image_options.orientation_note(
@@ -272,11 +274,12 @@ def _lines(summary: dict) -> list[str]:
              f"{summary['length_mm']:.4g} mm long",
              f"  tracked     {len(summary['tracked'])} frames, each from the one before"]
     for key, words in (("seeded", "by Algorithm 1"), ("lost", "in which the rod is lost"),
-                       ("uncertain", f"whose start is uncertain by {CERTAIN_MM:g} mm or off the thread; click there, too")):
-        names = summary[key]
+                       ("uncertain", f"whose start is uncertain by {CERTAIN_MM:g} to {summary['start_sigma_mm']:.2g} mm, or "
+                        "off the thread; click there, in two cameras")):
+        names = summary[key] if len(summary[key]) < summary["frames"] or key != "uncertain" else ["all"]
         if len(names) or key != "uncertain":
             named = f": {listed(names, MOST_LISTED)}" * bool(len(names))
-            lines.append(f"  {key:<11} {counted(len(names), 'frame')} {words}{named}")
+            lines.append(f"  {key:<11} {counted(len(summary[key]), 'frame')} {words}{named}")
     verdicts, doubts = summary["verdicts"], summary["doubts"]
     if len(verdicts["ambiguous"]):
         lines.append(f"  ambiguous   {counted(len(verdicts['ambiguous']), 'frame')} whose rod may well be another one: "
@@ -287,7 +290,7 @@ def _lines(summary: dict) -> list[str]:
     if summary["camera_error_px"] is not None:
         off = summary["camera_error_px"]
         lines.append(f"  images      {f'{off:.2f}' if off >= LEAST_SHOWN else f'less than {LEAST_SHOWN}'} px off on average; "
-                     f"{summary['stable']} rods certified stable")
+                     f"{summary['stable']} rods at certified minima of E_vis")
     if summary["orientation"]:
         lines.append(f"  orientation {summary['orientation']}")
     return lines + [f"  written to  {in_line(path)}" for path in summary["written"]]

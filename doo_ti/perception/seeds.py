@@ -321,8 +321,8 @@ def whole_threads(rig: Rig, detections: Sequence[Sequence[Detection]], point: np
 
 
 def _of_ends(rig: Rig, images: Sequence[Detection], vertices: np.ndarray) -> float:
-    """mm by which the rod ``vertices`` (V, 3) may be longer or shorter: a line ends within half the thread's width, and the blur
-    of the image, of its axis. The rod ends where lines do on average, but for images that hardly show how far it reaches."""
+    """mm by which the rod ``vertices`` (V, 3) may be longer or shorter: a line ends within half the thread's width, and the
+    blur of the image, of its axis. The rod ends where lines do on average, but for images that hardly show its reach."""
     half, total = 0.5 * np.array([detection.width_px for detection in images]) + BLUR_PX, 0.0
     for outer, inner in ((0, 1), (-1, -2)):
         step = np.linalg.norm(vertices[outer] - vertices[inner])
@@ -332,8 +332,8 @@ def _of_ends(rig: Rig, images: Sequence[Detection], vertices: np.ndarray) -> flo
 
 
 def _profiled(length: np.ndarray, energy: np.ndarray, slack: float) -> tuple[float, tuple[float, float]]:
-    """The length of the thread, and the least and the largest one whose energy (R, L) exceeds the least by ``slack`` at most, of
-    rods with TIMES their ``length`` (R, L)."""
+    """The length of the thread, and the least and the largest one whose energy (R, L) exceeds the least by ``slack`` at most,
+    of rods with TIMES their ``length`` (R, L)."""
     fine, values = [], []
     for tried, found in zip(length, energy, strict=True):
         if np.isfinite(found).all():
