@@ -98,8 +98,8 @@ def plain(value):
 
 
 def report(options: Namespace, summary, lines: Callable[[], list[str]]) -> None:
-    """Print the ``summary`` as one line of JSON with ``--json``, else the ``lines`` of text, whatever names are in them."""
-    print(json.dumps(plain(summary)) if options.json else "\n".join(map(in_line, lines())))
+    """Print the ``summary`` as one line of JSON with ``--json``, else the ``lines`` of text."""
+    print(json.dumps(plain(summary)) if options.json else "\n".join(lines()))
     note_theta(options)
 
 
