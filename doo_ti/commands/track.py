@@ -267,23 +267,27 @@ def _summary(task: TrackingTask, found: list, result: dict, written: list[Path])
     }
 
 
+def _named(key: str, names: np.ndarray, words: str, every: bool = False) -> str:
+    """A line of the printout: how many frames, and their ``names``, or "all" where they are ``every`` frame of the video."""
+    named = f": {'all' if every else listed(names, MOST_LISTED)}" * bool(len(names))
+    return f"  {key:<11} {counted(len(names), 'frame')} {words}{named}"
+
+
 def _lines(summary: dict) -> list[str]:
     from doo_ti.perception.perceive import CERTAIN_MM
 
     lines = [f"{summary['frames']} frames of {len(summary['cameras'])} images, a rod of {summary['edges']} edges, "
              f"{summary['length_mm']:.4g} mm long",
              f"  tracked     {len(summary['tracked'])} frames, each from the one before"]
-    for key, words in (("seeded", "by Algorithm 1"), ("lost", "in which the rod is lost"),
-                       ("uncertain", f"whose start is uncertain by {CERTAIN_MM:g} to {summary['start_sigma_mm']:.2g} mm, or "
-                        "off the thread; click there, in two cameras")):
-        names = summary[key] if len(summary[key]) < summary["frames"] or key != "uncertain" else ["all"]
-        if len(names) or key != "uncertain":
-            named = f": {listed(names, MOST_LISTED)}" * bool(len(names))
-            lines.append(f"  {key:<11} {counted(len(summary[key]), 'frame')} {words}{named}")
-    verdicts, doubts = summary["verdicts"], summary["doubts"]
+    verdicts, doubts, uncertain = summary["verdicts"], summary["doubts"], summary["uncertain"]
+    lines += [_named("seeded", summary["seeded"], "by Algorithm 1"),
+              _named("lost", summary["lost"], "in which the rod is lost")]
+    if len(uncertain):
+        lines.append(_named("uncertain", uncertain, f"whose start is uncertain by {CERTAIN_MM:g} to "
+                            f"{summary['start_sigma_mm']:.2g} mm, or off the thread; click there, in two cameras",
+                            every=len(uncertain) == summary["frames"]))
     if len(verdicts["ambiguous"]):
-        lines.append(f"  ambiguous   {counted(len(verdicts['ambiguous']), 'frame')} whose rod may well be another one: "
-                     f"{listed(verdicts['ambiguous'], MOST_LISTED)}")
+        lines.append(_named("ambiguous", verdicts["ambiguous"], "whose rod may well be another one"))
     if doubts:
         lines.append(f"  doubts      {len(verdicts['clear'])} frames are clear; of others: "
                      + ", ".join(f"{doubt} in {count}" for doubt, count in sorted(doubts.items(), key=lambda one: -one[1])))

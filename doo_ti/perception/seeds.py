@@ -7,9 +7,9 @@ certain. Of three cameras or more some may not see where it begins.
 
 Threads of unknown length end where they end in the images. Between cameras that are close together a rod that is too long folds
 along the line of sight, and explains the images as well as a shorter one. So its length is chosen by E_vis with evidence from
-both sides, too: the best rods are relaxed again with lengths a little shorter and longer. The range of the length are those
-whose E_vis is not worse by what makes a runner-up ambiguous, and what round ends of lines hide; in it the rod ends where its
-paths end.
+both sides, too: the best rods are relaxed again with lengths a little shorter and longer. Those whose E_vis is nearly the
+least are the range of the length, widened on both sides by the width of the line's ends. The length at which the rod ends where
+its paths end is taken if it is in the range, otherwise the one with the least E_vis.
 
 Axes: A image sets, R rods, L lengths.
 """
@@ -91,7 +91,7 @@ def fit_better(rig: Rig, others: Mapping[str, Rig], detections: Sequence[Detecti
     pair = first, next(camera for camera in range(len(detections)) if camera != first)
     images, click = [detections[camera] for camera in pair], {0: clicks[first]}
     if _clicked(images[0], Chains.of(images[0]), np.asarray(clicks[first], dtype=float), "").along == INSIDE_PX:
-        return []  # within a line, not where it begins: nothing is compared from there on
+        return []  # a click within a line is not the rod's end: costs from there do not tell rigs apart
 
     def least(one: Rig) -> float:
         try:

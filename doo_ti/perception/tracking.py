@@ -30,12 +30,13 @@ from doo_ti.perception.perceive import (
 )
 from doo_ti.perception.search import Hypotheses, PerceptionOptions, Search, explained
 from doo_ti.rod.frames import (
+    bishop_frames,
     conjugate,
-    edge_frames,
     quaternion_from_matrix,
     quaternion_product,
     smallest_rotation,
     tangent_from_quaternion,
+    unit_vectors,
 )
 from doo_ti.rod.shapes import end_clamps
 from doo_ti.rod.types import Clamp, Configuration, Material, Status
@@ -222,7 +223,8 @@ class Tracker:
         search = self._search_in(detected, point, direction)
         if search is None or after.how == How.LOST:
             return frame
-        edges = quaternion_from_matrix(edge_frames(np.diff(after.vertices, axis=0)[None], search.first[..., 1]))[0]
+        tangents = unit_vectors(np.diff(after.vertices, axis=0))
+        edges = quaternion_from_matrix(bishop_frames(tangents, search.first[0, :, 1]))
         rod = self._relaxed(search, np.stack([edges, _aimed(edges, search.direction)]))
         better = self._sound(rod) and not rod.energy_vis >= (1 - BETTER) * frame.energy_vis
         return self._frame(rod, How.TRACKED, search) if better else frame

@@ -31,7 +31,7 @@ from doo_ti.refinement.held_rod import POSE
 from doo_ti.refinement.residuals import Comparison
 from doo_ti.refinement.rolls import most_probable
 from doo_ti.refinement.search import Optimum
-from doo_ti.refinement.unknowns import LOGARITHMIC, Unknowns
+from doo_ti.refinement.unknowns import LOGARITHMIC, Unknowns, Values
 from doo_ti.rod.observations import Observations
 from doo_ti.rod.start import observation_clamps, reachable
 from doo_ti.rod.types import Clamp
@@ -160,12 +160,7 @@ def _held_by_frames(unknowns: Unknowns) -> bool:
 def _gain(fit: Fit, fitted: Fitted, unknowns: Unknowns) -> float:
     """By how much −2 ln of the evidence is lower for ``unknowns``, in the linear model at the end of ``fitted``, its sizes
     fitted."""
-    values = fitted.state.values
-    if len(unknowns.knots) != len(values.curvature):
-        mean = values.curvature.mean(axis=0) if len(values.curvature) else np.zeros(2)
-        values = replace(values, curvature=np.tile(mean, (len(unknowns.knots), 1)))
-    if len(unknowns.stiffness_knots) != len(values.stiffness):
-        values = replace(values, stiffness=np.zeros(len(unknowns.stiffness_knots)))
+    values = _with_fields(fitted.state.values, unknowns)
     comparison = replace(fit.comparison, unknowns=unknowns)
     linear, _ = comparison.linear(fitted.state.solution, values, fitted.state.used)
     evidence = Evidence.of(unknowns, linear, unknowns.offset(values, fit.origin))
@@ -173,25 +168,36 @@ def _gain(fit: Fit, fitted: Fitted, unknowns: Unknowns) -> float:
     return fitted.posterior.value - evidence.posterior(scales).value
 
 
+def _with_fields(values: Values, unknowns: Unknowns) -> Values:
+    """``values`` with the fields of ``unknowns``: a new one is uniform, at the mean rest curvature or bend stiffness."""
+    if len(unknowns.knots) != len(values.curvature):
+        mean = values.curvature.mean(axis=0) if len(values.curvature) else np.zeros(2)
+        values = replace(values, curvature=np.tile(mean, (len(unknowns.knots), 1)))
+    if len(unknowns.stiffness_knots) != len(values.stiffness):
+        values = replace(values, stiffness=np.zeros(len(unknowns.stiffness_knots)))
+    return values
+
+
 def with_stiffness_along(found: list[Optimum], steps: int, stiffness: str) -> list[Optimum]:
     """The optima ``found``, the best first, or these with a bend stiffness that varies along the rod, each continued for
     ``steps``: as ``stiffness`` of :class:`.RefinementOptions` says."""
-    fit, fitted = most_probable(found[0].fit, found[0].fitted)
-    if stiffness == "uniform" or not fit.unknowns.round:
+    if stiffness == "uniform" or not found[0].fit.unknowns.round:
         return found
-    if stiffness == "auto" and _gain(fit, fitted, replace(fit.unknowns, uneven=True)) <= WORTH:
+    first, *others = found
+    first = Optimum(*most_probable(first.fit, first.fitted))  # one row for each observation
+    if stiffness == "auto" and _gain(first.fit, first.fitted, replace(first.fit.unknowns, uneven=True)) <= WORTH:
         return found
-    uneven = sorted((_continued(one, steps) for one in found), key=lambda one: one.fitted.rank)
-    return uneven if stiffness == "field" or uneven[0].behind(Optimum(fit, fitted)) < -WORTH else found
+    alone = [first, *(Optimum(*most_probable(one.fit, one.fitted)) for one in others)]
+    uneven = sorted((_continued(one, steps) for one in alone), key=lambda one: one.fitted.rank)
+    return uneven if stiffness == "field" or uneven[0].behind(first) < -WORTH else found
 
 
 def _continued(found: Optimum, steps: int) -> Optimum:
-    """The optimum with a stiffness that varies along the rod, one row for each observation."""
-    fit, fitted = most_probable(found.fit, found.fitted)
+    """The optimum with a stiffness that varies along the rod."""
+    fit, fitted, state = found.fit, found.fitted, found.fitted.state
     unknowns = replace(fit.unknowns, uneven=True)
     fit = replace(fit, comparison=replace(fit.comparison, unknowns=unknowns))
-    state, none = fitted.state, np.zeros(len(unknowns.stiffness_knots))
-    begun = fit.at(replace(state.values, stiffness=none), state.scales.learning(unknowns.scale_names), state.solution)
+    begun = fit.at(_with_fields(state.values, unknowns), state.scales.learning(unknowns.scale_names), state.solution)
     return Optimum(fit, fit.run(replace(begun, used=state.used & begun.sound), steps).after(fitted))
 
 

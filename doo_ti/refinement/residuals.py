@@ -242,7 +242,8 @@ class Comparison:
         of_stiffness, of_uneven, of_theta, of_knots, of_joints, length, _ = np.split(
             at, np.cumsum([stiffness, uneven, theta, knots, GEOMETRY, 1]), axis=-1)
         by_lengths = poses[..., :GEOMETRY] + of_joints + length * (mesh.edge_slope / mesh.edge) + sliding[..., :GEOMETRY]
-        by_lengths += of_uneven if uneven else 0.0
+        if uneven:
+            by_lengths += of_uneven
         ends = [end for end, name in enumerate(("clip_start", "clip_end")) if name in unknowns.names]
         parts = [of_theta @ chain, by_lengths[..., ends], of_knots, of_stiffness]
         if unknowns.turns:

@@ -1,4 +1,4 @@
-"""Frames on the host, in NumPy: unit quaternions, rotations, and a rod as a chain of them (§III-A).
+"""Frames and curves on the host, in NumPy: unit quaternions, rotations, a rod as a chain of them (§III-A), curves of points.
 
 Quaternions are (..., 4) with the scalar first; the columns of a rotation matrix are t, m1, m2.
 """
