@@ -273,6 +273,20 @@ class Surroundings:
         radius = self.radius if np.size(self.radius) < 2 else np.asarray(self.radius)[rows]
         return Surroundings([obstacle.take(rows) for obstacle in self.obstacles], radius)
 
+    def for_seeds(self, point: np.ndarray) -> "Surroundings":
+        """The same, if rods in images can begin at ``point`` (A, 3) mm there. Raises InputError."""
+        if self and (np.size(self.radius) != 1 or any(obstacle.count > 1 for obstacle in self.obstacles)):
+            raise InputError("perceive", "obstacles", "other ones, or another radius, for each rod",
+                             "give the same to all rods")
+        if self.itself is not None:
+            raise InputError("perceive", "obstacles", "the rod itself", "leave it out: a growing rod is no obstacle to itself")
+        for obstacle in self.obstacles:
+            depth = float(np.max(self.radius - obstacle.distance(point[None])[0][0]))
+            if depth > 0:
+                raise InputError("perceive", "point", f"a rod that begins there is {depth:.3g} mm inside a "
+                                 f"{type(obstacle).__name__}", "correct the seed or the obstacle, or give a smaller `radius`")
+        return self
+
     def rubbing(self, friction: ArrayLike) -> "Surroundings":
         """Those with another coefficient of friction, or (R,), against all but the rod itself; nothing that moves."""
         return replace(self, obstacles=[obstacle if isinstance(obstacle, Itself) else obstacle.rubbing(friction)

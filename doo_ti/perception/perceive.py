@@ -44,6 +44,7 @@ UNCERTAIN, CERTAIN_MM = 0.1, 1.0  # bounds of the vertices' sigma: of a likely r
 CERTAIN_LENGTH = 0.03
 """Bound of the uncertainty of a length that was found, that of its ends included, as a share of it. A rod that is too long by
 that may be off the thread along the line of sight by some hundredths of its length."""
+LEAST_SHOWN = 0.5  # bound of the share of a rod's edges that some camera shows, of a rod that was found
 LOST_PX = 3.0  # bound of the largest distance where no two cameras fit: a rod farther off is not the thread in the images
 
 
@@ -56,7 +57,8 @@ class PerceptionVerdict(IntEnum):
     AMBIGUOUS  either of two may be the rod; or it has not converged, is shorter than its paths, or in all cameras but one
                explains less than half of the line, leaves a piece out or passes along it twice; or a vertex is uncertain by a
                tenth of the rod's length
-    NOT_FOUND  not within 1 px of the line in two cameras, and 3 px off in one: other cameras, a wrong rig, seed or length
+    NOT_FOUND  not within 1 px of the line in two cameras, and 3 px off in one, mean along what is not hidden in all of them, or
+               more than half is: other cameras, a wrong rig, seed or length
     """
 
     CLEAR = 0
@@ -154,22 +156,35 @@ class Perception:
         """(A,) bool: in all cameras but one ``widths`` (A, C) are more than MOST_SKIPPED."""
         return np.sort(np.nan_to_num(widths), axis=1)[:, self._two] > MOST_SKIPPED
 
+    def _far_off(self, error: np.ndarray) -> np.ndarray:
+        """(A,) bool: by ``error`` (A, C) px. Two cameras determine a rod: others may be occluded. One that does not see the rod
+        counts as far off. A rod that goes on beyond the thread is far off there."""
+        error = np.sort(np.where(np.isfinite(error), error, np.inf), axis=1)
+        far = (error[:, self._two] > FITTING_PX) & (error[:, -1] > LOST_PX)
+        return far & ~(self.coverage >= COVERED).all(axis=1)
+
+    @property
+    def shown_error(self) -> np.ndarray:
+        """(A, C) px: the distance to the detection, mean along the edges that are not ``unsupported``; infinite where these
+        are less than half of all."""
+        shown = ~self.unsupported[:, None]
+        error = np.where(shown, self.edge_error, 0.0).sum(axis=2) / np.maximum(shown.sum(axis=2), 1)
+        return np.where(shown.mean(axis=2) < LEAST_SHOWN, np.inf, error)
+
     @property
     def verdict(self) -> np.ndarray:
         """(A,) PerceptionVerdict."""
-        clear, length, two = ~np.any([*self.doubts.values()], axis=0), self.configuration.rest_length.sum(axis=-1), self._two
-        # A camera that does not see the rod counts as far off. Two cameras determine a rod: others may be occluded.
-        error = np.sort(np.where(np.isfinite(self.camera_error), self.camera_error, np.inf), axis=1)
-        lost = (error[:, two] > FITTING_PX) & (error[:, -1] > LOST_PX)
-        lost &= ~(self.coverage >= COVERED).all(axis=1)  # a rod that goes on beyond the thread is far off there
-        kinds = PerceptionVerdict.NOT_FOUND, PerceptionVerdict.CLEAR, PerceptionVerdict.LIKELY
-        explained = np.sort(np.nan_to_num(self.coverage, nan=1.0), axis=1)[:, -1 - two]
-        likely = (self.status == Status.CONVERGED) & (self.gap >= AMBIGUOUS_PX)
+        clear, length = ~np.any([*self.doubts.values()], axis=0), self.configuration.rest_length.sum(axis=-1)
+        far_off = self._far_off(self.camera_error)
+        lost = far_off & self._far_off(self.shown_error)  # else cameras do not show all of it
+        explained = np.sort(np.nan_to_num(self.coverage, nan=1.0), axis=1)[:, -1 - self._two]
+        likely = (self.status == Status.CONVERGED) & (self.gap >= AMBIGUOUS_PX) & ~far_off
         # Of a longer thread a rod explains a part.
         whole, part = LEAST_COVERED
         likely &= explained >= np.maximum(whole * np.fmin(1.0, length / self.thread_length), part)
         likely &= ~(self.thread_length > self.length_range[:, 1])  # the length and the paths contradict each other
         likely &= ~self._often(self.skipped) & ~self._often(self.twice) & ~(self.sigma.max(axis=1) > UNCERTAIN * length)
+        kinds = PerceptionVerdict.NOT_FOUND, PerceptionVerdict.CLEAR, PerceptionVerdict.LIKELY
         return np.select([lost, clear, likely], kinds, PerceptionVerdict.AMBIGUOUS).astype(np.int8)
 
     @classmethod
@@ -221,7 +236,7 @@ def perceive(
     """
     point, direction = checked_seeds("perceive", point, direction, len(maps.window))
     rest_length, up = checked_rod("perceive", rest_length, material, up)
-    search = Search(maps, rig, point, direction, rest_length, material, up, options, check_seeds(surroundings, point))
+    search = Search(maps, rig, point, direction, rest_length, material, up, options, surroundings.for_seeds(point))
     kept = search.initial_hypotheses()
     for edges in range(2, len(search.rest_length) + 1):
         grown = search.nearly_relaxed(search.grown(kept))
@@ -252,23 +267,6 @@ def checked_rod(function: str, rest_length: ArrayLike, material: Material, up: A
     if material.count != 1:
         raise InputError(function, "material", f"{material.count} rows", "give one material")
     return lengths, unit_up(up, function)
-
-
-def check_seeds(surroundings: Surroundings, point: np.ndarray) -> Surroundings:
-    """``surroundings``, if rods can begin at ``point`` (A, 3) there. Raises InputError."""
-    if not surroundings:
-        return surroundings
-    if np.size(surroundings.radius) != 1 or any(obstacle.count > 1 for obstacle in surroundings.obstacles):
-        raise InputError("perceive", "obstacles", "other ones, or another radius, for each rod", "give the same to all rods")
-    if surroundings.itself is not None:
-        raise InputError("perceive", "obstacles", "the rod itself", "leave it out: a growing rod is no obstacle to itself")
-    for obstacle in surroundings.obstacles:
-        gap = obstacle.distance(point[None])[0][0] - surroundings.radius
-        worst = int(np.argmin(gap))
-        if gap[worst] < 0:
-            raise InputError("perceive", "point", f"a rod that begins there is {-gap[worst]:.3g} mm inside a "
-                             f"{type(obstacle).__name__}", "correct the seed or the obstacle, or give a smaller `radius`")
-    return surroundings
 
 
 def _result(search: Search, kept: Hypotheses, start_sigma: np.ndarray) -> Perception:

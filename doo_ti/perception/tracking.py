@@ -22,7 +22,6 @@ from doo_ti.motion.predict import predict_step
 from doo_ti.perception.perceive import (
     Perception,
     PerceptionVerdict,
-    check_seeds,
     checked_rod,
     checked_seeds,
     perceive,
@@ -69,8 +68,8 @@ class How(IntEnum):
 class TrackingOptions:
     """When a rod counts as lost.
 
-    lost_px   px: largest distance to the detection, mean along the rod, of a rod that is not lost. It must be met in two
-              cameras; in the others the rod may be hidden
+    lost_px   px: largest distance to the detection, mean along what any camera shows of the rod, of one that is not lost.
+              It must be met in two cameras; in the others the rod may be hidden. At least half of the rod must be shown
     worse_px  px: Algorithm 1 is run again if the mean distance over the cameras has grown by more than this since its last
               run, and the better rod counts
 
@@ -239,7 +238,7 @@ class Tracker:
         if len(seeing) < FEWEST_CAMERAS:
             return None
         return Search(distance_maps([[found for found in detected if found.count]]), self._rig.only(seeing), point, direction,
-                      self._rest_length, self._material, self._up, self._search, check_seeds(self._surroundings, point))
+                      self._rest_length, self._material, self._up, self._search, self._surroundings.for_seeds(point))
 
     def _relaxed(self, search: Search, starts: np.ndarray) -> _Rod:
         """The rod relaxed in a frame, from the best of its initial shapes ``starts`` (K, E, 4)."""
@@ -274,10 +273,10 @@ class Tracker:
         return Configuration(fine.start, fine.quaternions[:, pieces // 2 :: pieces], self._rest_length)
 
     def _sound(self, rod: _Rod) -> bool:
-        """Whether the rod has converged on the detected line."""
+        """Whether the rod has converged on the detected line, as far as any camera shows it."""
         if not rod.converged or rod.verdict == PerceptionVerdict.NOT_FOUND:
             return False
-        return np.sort(rod.camera_error)[FEWEST_CAMERAS - 1] <= self._options.lost_px
+        return np.sort(rod.found.shown_error[0])[FEWEST_CAMERAS - 1] <= self._options.lost_px
 
     def _goes_on(self, rod: _Rod) -> bool:
         """Whether the tracked rod needs no second opinion."""

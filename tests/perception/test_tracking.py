@@ -154,6 +154,17 @@ def test_a_hidden_rod_is_lost_and_found_again(video):
     assert np.delete(error, [6, 7, 8]).max() < 0.15
 
 
+def test_a_rod_behind_a_bar_is_followed(video):
+    """From the second frame on no camera shows a fifth of it: the rest leaves little to choose there."""
+    rig = three_cameras()
+    hidden = [[found.take(np.linalg.norm(found.points[:, None] - camera.project(rod[8:13]), axis=-1).min(axis=1) > 12.0)
+               for camera, found in zip(rig.cameras, frame, strict=True)]
+              for frame, rod in zip(video[1:4], rods()[1:4], strict=True)]
+    found, error = tracked(video[:1] + hidden, rods()[:4])
+    assert How.LOST not in [frame.how for frame in found] and found[3].how == How.TRACKED
+    assert error.max() < 0.3 and min(frame.camera_error.max() for frame in found[1:]) > TrackingOptions().lost_px
+
+
 @pytest.mark.thorough
 def test_two_cameras_will_do(video):
     """One camera sees nothing for four frames."""
