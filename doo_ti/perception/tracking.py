@@ -194,7 +194,7 @@ class Tracker:
 
         Raises InputError as :func:`doo_ti.perception.perceive.perceive` does.
         """
-        search = self._search_in(detected, point, direction)
+        search = self._search_in("Tracker.see", detected, point, direction)
         if search is None:
             return self._lost()
         rod, how = None if self._last is None else self._relaxed(search, self._starts(search, far)), How.TRACKED
@@ -219,7 +219,7 @@ class Tracker:
                 direction: ArrayLike) -> TrackedFrame:
         """``frame``, or the rod of the frame ``after`` it, relaxed in its images, where that is better. Other arguments as of
         :meth:`see`, which does not depend on this. Raises InputError as that does."""
-        search = self._search_in(detected, point, direction)
+        search = self._search_in("Tracker.revised", detected, point, direction)
         if search is None or after.how == How.LOST:
             return frame
         tangents = unit_vectors(np.diff(after.vertices, axis=0))
@@ -228,12 +228,12 @@ class Tracker:
         better = self._sound(rod) and not rod.energy_vis >= (1 - BETTER) * frame.energy_vis
         return self._frame(rod, How.TRACKED, search) if better else frame
 
-    def _search_in(self, detected: list[Detection], point: ArrayLike, direction: ArrayLike) -> Search | None:
-        """The search in the images of one frame, None where too few show anything. Raises InputError."""
+    def _search_in(self, function: str, detected: list[Detection], point: ArrayLike, direction: ArrayLike) -> Search | None:
+        """The search in the images of one frame, None where too few show anything. Raises InputError, naming ``function``."""
         names = self._rig.names
         if len(detected) != len(names):
-            raise InputError("Tracker.see", "detected", f"{len(detected)}", f"give one for each camera, {len(names)}")
-        point, direction = checked_seeds("Tracker.see", point, direction, 1)
+            raise InputError(function, "detected", f"{len(detected)}", f"give one for each camera, {len(names)}")
+        point, direction = checked_seeds(function, point, direction, 1)
         seeing = [name for name, found in zip(names, detected, strict=True) if found.count]
         if len(seeing) < FEWEST_CAMERAS:
             return None
