@@ -7,7 +7,7 @@ from doo_ti import Box, Capsule, Cylinder, Plane, Ring, Sphere, Status, relax
 from tests.contact.clutter import OBSTACLES, RADIUS, differences, gaps, sagging
 from tests.oracle.chain_form import chain_energy, rod_of
 from tests.oracle.equilibrium import clamped_start, free_variables
-from tests.oracle.external import Loads, Springs, total_derivatives, vertex_jacobian
+from tests.oracle.external import Springs, total_derivatives, vertex_jacobian
 
 
 def unbalanced(shapes, material, clamps, forces: np.ndarray, row: int = 0) -> tuple[float, np.ndarray]:
@@ -16,7 +16,7 @@ def unbalanced(shapes, material, clamps, forces: np.ndarray, row: int = 0) -> tu
     rod = rod_of(shapes, material, row)
     state, ends = clamped_start(shapes, clamps, row)
     free = free_variables(rod, ends)
-    gradient, _ = total_derivatives(rod, Loads(Springs.none(rod), forces), state)
+    gradient, _ = total_derivatives(rod, Springs.none(rod, forces), state)
     far = vertex_jacobian(rod, state.quaternions)[-1][:, free]
     pull = np.linalg.lstsq(far.T, gradient[free], rcond=None)[0]
     return np.abs(gradient[free] - far.T @ pull).max(), pull

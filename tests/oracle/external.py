@@ -22,10 +22,11 @@ TOLERANCE = 1e-10  # 1/mm, on the residual
 
 @dataclass(frozen=True)
 class Springs:
-    """One on each of V vertices: ``stiffness`` (V, 3, 3) K_i, symmetric, weight/mm; ``target`` (V, 3), mm."""
+    """One on each of V vertices: ``stiffness`` (V, 3, 3) K_i, symmetric, weight/mm; ``target`` (V, 3), mm; a dead ``force``."""
 
     stiffness: np.ndarray
     target: np.ndarray
+    force: np.ndarray | float = 0.0
 
     @classmethod
     def at_vertices(cls, stiffness, target) -> "Springs":
@@ -33,40 +34,18 @@ class Springs:
         return cls(stiffness[:, None, None] * np.eye(3) if stiffness.ndim == 1 else stiffness, target)
 
     @classmethod
-    def none(cls, rod: Rod) -> "Springs":
-        """None on any vertex."""
-        return cls.at_vertices(np.zeros(rod.edges + 1), np.zeros((rod.edges + 1, 3)))
+    def none(cls, rod: Rod, force: np.ndarray | float = 0.0) -> "Springs":
+        """None on any vertex, beside forces."""
+        return cls(np.zeros((rod.edges + 1, 3, 3)), np.zeros((rod.edges + 1, 3)), force)
 
     def energy(self, vertices: np.ndarray) -> float:
-        """Σ ½ r·K r."""
-        return 0.5 * ((vertices - self.target) * self.vertex_gradient(vertices)).sum()
+        """Σ ½ r·K r − f·x."""
+        off = vertices - self.target
+        return 0.5 * np.einsum("ia,iab,ib", off, self.stiffness, off) - (self.force * vertices).sum()
 
     def vertex_gradient(self, vertices: np.ndarray) -> np.ndarray:
         """(V, 3) γ_i = ∂/∂x_i."""
-        return np.einsum("iab,ib->ia", self.stiffness, vertices - self.target)
-
-    @property
-    def vertex_curvature(self) -> np.ndarray:
-        """(V, 3, 3) ∂²/∂x_i²."""
-        return self.stiffness
-
-
-@dataclass(frozen=True)
-class Loads:
-    """Dead forces (V, 3) beside springs."""
-
-    springs: Springs
-    force: np.ndarray
-
-    def energy(self, vertices):
-        return self.springs.energy(vertices) - (self.force * vertices).sum()
-
-    def vertex_gradient(self, vertices):
-        return self.springs.vertex_gradient(vertices) - self.force
-
-    @property
-    def vertex_curvature(self):
-        return self.springs.vertex_curvature
+        return np.einsum("iab,ib->ia", self.stiffness, vertices - self.target) - self.force
 
 
 @dataclass(frozen=True)
@@ -86,10 +65,6 @@ class Minimum:
     eigenvalues: np.ndarray
     converged: bool
 
-    @property
-    def smallest_eigenvalue(self) -> float:
-        return float(self.eigenvalues[0])
-
 
 def total_energy(rod: Rod, springs: Springs, state: State):
     """Bend, twist, gravity and springs."""
@@ -106,12 +81,12 @@ def vertex_jacobian(rod: Rod, quaternions: np.ndarray) -> np.ndarray:
     return jacobian
 
 
-def total_derivatives(rod: Rod, springs: Springs | Loads, state: State) -> tuple[np.ndarray, np.ndarray]:
+def total_derivatives(rod: Rod, springs: Springs, state: State) -> tuple[np.ndarray, np.ndarray]:
     """(3 + 3E,) gradient and (3 + 3E, 3 + 3E) Hessian of :func:`total_energy` in all of (dx_0, w_0, …, w_{E−1})."""
     vertices, jacobian = vertices_of(rod, state), vertex_jacobian(rod, state.quaternions)
     pull = springs.vertex_gradient(vertices)
     gradient = np.einsum("ia,iak->k", pull, jacobian)
-    hessian = np.einsum("iak,iab,ibl->kl", jacobian, springs.vertex_curvature, jacobian, optimize=True)
+    hessian = np.einsum("iak,iab,ibl->kl", jacobian, springs.stiffness, jacobian, optimize=True)
     # The rotation of an edge moves the rod beyond it along an arc: p_j = Σ_{i>j} γ_i, a linear potential on edge j.
     behind = np.cumsum(pull[::-1], axis=0)[::-1][1:]
     hessian[3:, 3:] += linear_derivatives(rod, state.quaternions, behind)[1]
@@ -164,7 +139,7 @@ def newton_step(rod: Rod, springs: Springs, state: State, ends: Ends, free: np.n
     return moved(state, free, step, rod.turned) if lowest > 0 else None
 
 
-def minimum(rod: Rod, springs: Springs | Loads | None, state: State, ends: Ends, max_iterations=500) -> Minimum:
+def minimum(rod: Rod, springs: Springs | None, state: State, ends: Ends, max_iterations=500) -> Minimum:
     """Descend from ``state`` to a minimum, never uphill: Newton's step with the size of every eigenvalue, so that negative
     ones lead downhill too; halved until the energy does not rise; along the softest mode off a saddle. Springs may be None."""
     springs = Springs.none(rod) if springs is None else springs
@@ -226,7 +201,7 @@ def relaxed(configuration, material, clamps, index=0, up=(0.0, 0.0, 1.0)) -> Min
     return minimum(rod, None, *clamped_start(configuration, clamps, index))
 
 
-def where_found(solution, material, clamps, row, up=(0.0, 0.0, 1.0), springs: Springs | Loads | None = None) -> Minimum:
+def where_found(solution, material, clamps, row, up=(0.0, 0.0, 1.0), springs: Springs | None = None) -> Minimum:
     """:func:`minimum` at the rod that the package has found, without moving it."""
     rods = solution.configuration
     state = State(rods.start[row], rods.quaternions[row].astype(np.float64))

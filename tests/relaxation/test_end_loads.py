@@ -15,7 +15,6 @@ from tests.relaxation.rods import LOADS, PAIRS, relaxed_again, wandering, with_k
 
 SHARP = Newton(tolerance=1e-11)
 UP = np.array([0.2, -0.1, 1.0]) / np.linalg.norm([0.2, -0.1, 1.0])
-HELD = [pair for pair in PAIRS if Clamp.FREE not in pair]
 RIBBON = Material(np.array([[2e5, 3e4], [3e4, 1e5]]), 1.5e5, 1.2, np.array([2e-3, -1e-3]))
 
 
@@ -58,36 +57,15 @@ def test_jacobians_are_the_differences(rng, material):
 @pytest.mark.sampled(1)
 @pytest.mark.parametrize("material", [RIBBON, Material(2e5, 1.5e5, 0.8)], ids=["ribbon", "round"])
 def test_the_energy_grows_by_the_loads_times_the_ways(rng, material):
-    solution, moved = held_rods(rng, HELD, material)
+    """By every coordinate of both poses, for every pair of clamps, and so all forces together carry the weight."""
+    solution, moved = held_rods(rng, PAIRS, material)
     loads = end_loads(solution)
     work = np.concatenate([getattr(loads, name) for name in LOADS], axis=1)
     for column, name in enumerate(gripper_jacobian(solution).columns):
-        step = 1e-3 if "shift" in name else 1e-4
+        step = 1e-4 if "shift" in name else 1e-5
         slope = (moved(name, step).energy - moved(name, -step).energy) / (2 * step)
         rows = solution.converged & solution.stable
         np.testing.assert_allclose(work[rows, column], slope[rows], atol=2e-6 * np.abs(work[rows]).max())
-
-
-def test_both_ends_carry_the_weight_and_balance_its_moment(rng):
-    rods = wandering(rng, len(PAIRS), 12)
-    material = Material(2e5, 1.5e5, 0.8)
-    solution = relax(rods, material, with_kinds(clamps_at(rods), PAIRS), SHARP, up=UP)
-    loads, x = end_loads(solution), solution.configuration.vertices
-    rows = solution.converged
-    carried = (loads.start_force + loads.end_force)[rows]
-    np.testing.assert_allclose(carried, np.tile(1.6 * 36.0 * UP, (len(carried), 1)), rtol=1e-9)
-    share = np.full(13, 2 * 0.8 * 3.0)
-    share[[0, -1]] /= 2
-    gravity = np.cross(x, -UP * share[:, None]).sum(axis=1)
-    of_forces = np.cross(x[:, 0], loads.start_force) + np.cross(x[:, -1], loads.end_force)
-    balance = loads.start_moment + loads.end_moment + of_forces + gravity
-    assert np.abs(balance[rows]).max() < 1e-6 * np.abs(gravity).max()
-    for row, pair in enumerate(PAIRS):
-        for kind, name in zip(pair, ("start", "end"), strict=True):
-            if kind == Clamp.FREE:
-                assert np.abs(getattr(loads, f"{name}_force")[row]).max() < 1e-9
-            if kind < Clamp.TANGENT:
-                assert np.abs(getattr(loads, f"{name}_moment")[row]).max() < 1e-4
 
 
 def test_in_newton_where_the_weight_is_known():

@@ -12,8 +12,8 @@ from doo_ti.rod.shapes import end_clamps, straight_rod
 from doo_ti.rod.types import Clamp, Clamps, Material
 from tests.conftest import check_refused
 from tests.oracle.chain_form import rod_of
-from tests.oracle.external import Loads, where_found
 from tests.oracle.external import Springs as DenseSprings
+from tests.oracle.external import where_found
 from tests.references.rods import certified
 from tests.relaxation.test_external import ALL_ENDS, UP, dense, rods_under_springs
 
@@ -99,21 +99,10 @@ def test_minima_are_those_of_dense_linear_algebra(rng, kind, isotropic):
     assert solution.closure.max() < 1e-12
     for row in range(start.count):
         own = DenseSprings.none(rod_of(start, material, row)) if kind == "loads" else dense(springs, row)
-        here = where_found(solution, material, clamps, row, UP, Loads(own, whole[row]))
+        here = where_found(solution, material, clamps, row, UP, replace(own, force=whole[row]))
         assert solution.energy[row] == pytest.approx(here.energy, rel=1e-11)
         assert here.residual < 1e-9 and here.eigenvalues[0] > -1e-9 * here.eigenvalues[-1]  # a round rod may spin freely
         np.testing.assert_allclose(-solution.end_force[row], here.force, atol=1e-8 * np.abs(here.force).max())
-
-
-def test_forces_that_springs_would_have_are_those_of_springs(rng):
-    """At rest the springs are replaced by what they pull with."""
-    start, clamps, material, springs = rods_under_springs(rng, 2, True)
-    one = relax(start, material, clamps, SHARP, up=UP, external=springs)
-    places = one.configuration.vertices
-    pulls = springs.stiffness[..., None] * (springs.points - places)
-    half = Springs(springs.points, 0.5 * springs.stiffness)
-    other = relax(one, material, clamps, SHARP, up=UP, external=PointLoads(0.5 * pulls, springs=half))
-    np.testing.assert_allclose(other.configuration.vertices, places, atol=1e-6)
 
 
 @pytest.mark.thorough

@@ -7,9 +7,8 @@ import numpy as np
 import pytest
 
 from doo_ti import Clamp, Clamps, Descent, Material, Newton, Status, relax, straight_rod
-from doo_ti.relaxation.newton import TOLERANCES
 from tests.references.rods import clamps_at, jiggled
-from tests.relaxation.rods import definite, vertex_distance, wandering
+from tests.relaxation.rods import wandering
 
 MATERIAL = Material(2e5, 1e5, 1.0)
 
@@ -83,21 +82,6 @@ def test_a_rod_whose_place_is_not_finite(rng, precision, start, end):
         assert np.isnan(value[lost]).all() and np.isfinite(value[~lost]).all()
 
 
-SAME = 0.02  # mm, mean vertex distance of two rods in the same minimum
-
-
-@pytest.mark.parametrize("kind", ["isotropic", "general"])
-def test_random_rods(rng, kind):
-    rods = wandering(rng, 40, 33, 3.0)
-    material = Material(6e5, 5e5, 1.0) if kind == "isotropic" else Material(definite(rng, 40), 1e5, 1.0)
-    start, clamps = jiggled(rods, rng, 0.05), clamps_at(rods)
-    solutions = {name: relax(start, material, clamps, precision=name) for name in ("f64", "f32", "mixed")}
-    for name, solution in solutions.items():
-        assert (solution.converged & solution.stable).all(), name
-        assert (vertex_distance(solution.configuration, solutions["f64"].configuration) < SAME).mean() >= 0.9, name
-        assert solution.residual.max() <= TOLERANCES[32 if name == "f32" else 64]
-    assert (solutions["f64"].precision == 64).all() and (solutions["mixed"].precision == 64).all()
-    assert (solutions["f32"].precision == 32).mean() > 0.9 and solutions["f32"].configuration.quaternions.dtype == np.float64
 
 
 def test_f64_takes_over_what_f32_cannot_finish(rng):
