@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from doo_ti import ClampPath, Dynamics, Grippers, InputError, PointLoads, Stepping, hanging, relax, simulate
+from doo_ti import ClampPath, Dynamics, Grippers, InputError, PointLoads, Stepping, relax, simulate
 from doo_ti.motion.path import Motion, carry
 from doo_ti.motion.predict import predict, predict_moving, predict_step, rate_of
 from doo_ti.rod.types import Clamp, Clamps, Material, Status
@@ -50,16 +50,6 @@ def test_it_is_where_small_steps_lead():
     np.testing.assert_allclose(prediction.time, [0, 1 / 3, 2 / 3, 1])
     np.testing.assert_allclose(prediction.vertices[:, :, -1], clamps.end_position + np.linspace(0, 1, 4)[:, None, None] * shift,
                                atol=1e-6)
-
-
-def test_rods_of_several_lengths_are_each_as_its_own():
-    ropes, held = hanging(np.array([100.0, 120.0]), 12, (0, 0, 0), (60, 0, 0))
-    path = line(held, np.zeros(3), np.array([-5.0, 2.0, 1.0]))
-    together = predict(ropes, Material(np.array([6e5, 2e6]), 8e5), held, path).vertices
-    for row in range(2):
-        alone = predict(ropes.take([row]), Material(6e5, 8e5), held.take([row]), line(held.take([row]), np.zeros(3), np.array(
-            [-5.0, 2.0, 1.0]))).vertices
-        np.testing.assert_array_equal(together[:, row], alone[:, 0])
 
 
 def test_every_material_with_every_start():
