@@ -35,7 +35,7 @@ def test_every_pair_of_clamps(rng, weight):
     start, clamps, material = general_rods(rng, WEIGHTS[weight])
     solution = relax(start, material, clamps, Newton(tolerance=1e-9), up=UP)
     for row, kinds in enumerate(PAIRS):
-        here = where_found(solution, material, clamps, row, UP)
+        here = where_found(solution.configuration, material, clamps, row, UP)
         names = " - ".join(kind.name.lower() for kind in kinds)
         scale = abs(here.energy) + 1e-3 * np.abs(material.bend[row]).max() / start.rest_length[row].sum()
         softest = here.eigenvalues[0] / here.eigenvalues[-1]
@@ -66,7 +66,7 @@ def test_certificate_is_the_sign_of_the_smallest_eigenvalue(rng):
         solution = relax(start, material, clamps, solver)
         assert solution.converged.all()
         for row in range(12):
-            here = where_found(solution, material, clamps, row)
+            here = where_found(solution.configuration, material, clamps, row)
             assert here.residual < 1e-8
             assert solution.stable[row] == (here.eigenvalues[0] > 0), (row, here.eigenvalues[:3])
 

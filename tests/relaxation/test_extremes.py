@@ -8,7 +8,7 @@ import pytest
 
 from doo_ti import Clamp, Clamps, Configuration, Itself, Material, Newton, Plane, relax
 from doo_ti.rod.shapes import end_clamps, hanging, straight_rod
-from tests.oracle.external import relaxed
+from tests.oracle.external import where_found
 from tests.references.rods import certified, chain, clamps_at, jiggled
 from tests.relaxation.rods import definite, wandering
 
@@ -50,9 +50,8 @@ def test_straight_starts_that_must_shorten(direction, weight, precision):
         near = shortened(clamps, 99.0 * share * np.array(direction))
         solution = relax(rod, material, near, precision=precision)
         well(solution, precision)
-        expected = relaxed(bow, material, near).energy if precision == "f64" and share == 0.8 else None
-        if expected is not None:
-            assert solution.energy[0] == pytest.approx(expected, rel=1e-8)
+        if precision == "f64" and share == 0.8:
+            assert solution.energy[0] == pytest.approx(relax(bow, material, near).energy[0], rel=1e-8)
 
 
 @pytest.mark.sampled(3)
@@ -89,8 +88,10 @@ def test_few_edges(edges, kinds, precision):
     material = Material(2e4, 1e4, 50.0)
     solution = relax(rod, material, clamps, precision=precision)
     well(solution, precision)
-    expected = relaxed(rod, material, clamps).energy
-    assert solution.energy[0] == pytest.approx(expected, rel=2e-4 if precision == "f32" else 1e-9)
+    here, single = where_found(solution.configuration, material, clamps, 0), precision == "f32"
+    assert solution.energy[0] == pytest.approx(here.energy, rel=2e-5 if single else 1e-12)
+    assert here.residual * 3.0 * edges < (1e-2 if single else 1e-5)
+    assert here.eigenvalues[0] > -(1e-5 if single else 1e-9) * here.eigenvalues[-1]  # a hinged rod may spin freely
 
 
 @pytest.mark.sampled(1)

@@ -117,7 +117,7 @@ def test_shapes_do_not_depend_on_size(rng, precision):
         start, held = sized(rods, clamps, size)
         solution = relax(start, Material(bend * size**3, twist * size**3), held, precision=precision)
         assert (solution.converged == exact.converged).all() and (solution.stable == exact.stable).all()
-        assert (solution.precision == 32).mean() > 0.9 * (precision == "f32")
+        assert ((solution.precision == 32) == (precision == "f32")).mean() > 0.9
         off = np.abs(solution.configuration.vertices / size - exact.configuration.vertices).max() / length
         assert off < SAME, size
         np.testing.assert_allclose(solution.energy / size**2, exact.energy, rtol=1e-4)
