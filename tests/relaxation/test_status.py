@@ -66,24 +66,6 @@ def test_an_edge_that_is_longer_than_the_others_and_the_line_together(far, statu
     assert relax(rod, MATERIAL, clamps).status[0] == status
 
 
-@pytest.mark.parametrize("precision", ["f64", "f32", "mixed"])
-@pytest.mark.parametrize("start, end", [(Clamp.FRAME, Clamp.FREE), (Clamp.FREE, Clamp.FRAME)])
-def test_a_rod_whose_place_is_not_finite(rng, precision, start, end):
-    """Its shape does not depend on its place, but without one it has neither vertices nor energy."""
-    rods, held = bows(rng)
-    positions = {"start_position": held.start_position.copy(), "end_position": held.end_position.copy()}
-    positions["start_position" if end == Clamp.FREE else "end_position"][[2, 5], 1] = np.nan, np.inf
-    clamps = Clamps(start, end, **positions, start_frame=held.start_frame, end_frame=held.end_frame)
-    solution = relax(rods, MATERIAL, clamps, precision=precision)
-    lost = np.isin(np.arange(len(solution.status)), [2, 5])
-    np.testing.assert_array_equal(solution.status == Status.NOT_FINITE, lost)
-    assert solution.converged[~lost].all() and not solution.stable[lost].any()
-    for value in (solution.energy, solution.residual, solution.end_force, solution.configuration.quaternions):
-        assert np.isnan(value[lost]).all() and np.isfinite(value[~lost]).all()
-
-
-
-
 def test_f64_takes_over_what_f32_cannot_finish(rng):
     start, clamps = bows(rng)
     demanding = relax(start, MATERIAL, clamps, Newton(tolerance=1e-9), precision="f32")

@@ -14,8 +14,9 @@ def twisted(rng, turns: float = 2.0, hint: bool = True, **extra) -> tuple[Observ
     vertices = wavy_vertices(rng, count=6, marks=12)
     twist = rng.uniform(-turns, turns, 6) * 2 * np.pi
     frames = twisted_frames(vertices, twist, rng)
+    off = 0.97 * np.pi * rng.uniform(-1, 1, 6)  # what a hint may be wrong by
     return Observations(vertices, start_frame=frames[:, 0], end_frame=frames[:, -1],
-                        total_twist=twist if hint else None, **extra), twist
+                        total_twist=twist + off if hint else None, **extra), twist
 
 
 def test_start_repeats_exact_vertices_frames_and_twist(rng):
@@ -30,15 +31,6 @@ def test_start_repeats_exact_vertices_frames_and_twist(rng):
         np.testing.assert_allclose(joints.sum(axis=1), twist, atol=1e-11)
         spread = observations.rest_length[:-1] + observations.rest_length[1:]
         np.testing.assert_allclose(joints, twist[:, None] * spread / spread.sum(), atol=1e-11)
-
-
-def test_a_hint_wrong_by_less_than_half_a_turn_does_no_harm(rng):
-    observations, twist = twisted(rng)
-    off = np.sign(rng.normal(size=6)) * 0.97 * np.pi
-    hinted = Observations(observations.vertices, start_frame=observations.start_frame, end_frame=observations.end_frame,
-                          total_twist=twist + off)
-    start = start_configuration(hinted, observation_clamps(hinted))
-    np.testing.assert_allclose(joint_twist(start.quaternions).sum(axis=1), twist, atol=1e-11)
 
 
 def test_without_a_hint_three_turns_are_hypotheses(rng):
