@@ -16,7 +16,7 @@ from doo_ti.relaxation.newton import TOLERANCES
 from doo_ti.rod.frames import unit_vectors
 from tests.conftest import SEED
 from tests.references.rods import chain, clamps_at, jiggled, stacked
-from tests.relaxation.rods import vertex_distance, wandering
+from tests.relaxation.rods import wandering
 
 Rods = tuple[Configuration, Material, Clamps]
 """R rods, one row of each table for each; clamps may differ from the ends of the start."""
@@ -124,8 +124,7 @@ def edge_error(configuration: Configuration) -> np.ndarray:
 
 
 COUNT = 8
-SAME = 0.02  # mm, mean vertex distance of two rods in the same minimum
-LEAST = 5  # rods of a row that converge in f64 and in mixed, or else there is nothing to compare
+LEAST = 5  # rods of a row that converge in f64 and in mixed
 NAMELESS = (Status.NOT_FINITE, Status.INFEASIBLE)
 
 every_row = pytest.mark.parametrize("row", ROWS)
@@ -150,6 +149,7 @@ def test_every_status_is_right(row, precision):
     assert not solution.stable[~solution.converged].any()
     assert (solution.status != Status.INFEASIBLE).all()
     done = solution.converged
+    assert done.sum() >= LEAST * (precision != "f32")
     coarse = solution.precision[done] == 32
     assert (solution.residual[done] <= np.where(coarse, TOLERANCES[32], TOLERANCES[64])).all()
     # mm: the edges to rounding, the far end within what closure is asked for; in f32 the edges' rounding adds up along the rod.
@@ -162,21 +162,6 @@ def test_every_status_is_right(row, precision):
     for kind, edge, held in ((clamps.start, 0, clamps.start_frame), (clamps.end, -1, clamps.end_frame)):
         if kind == Clamp.FRAME:
             np.testing.assert_allclose(frames[:, edge], held[done], atol=1e-6 if coarse.any() else 1e-14)
-
-
-@every_row
-def test_mixed_and_f64_have_one_energy_where_they_are_in_one_minimum(row):
-    exact, mixed, material = relaxed(row, "f64"), relaxed(row, "mixed"), rods_of(row, COUNT)[1]
-    both = exact.converged & mixed.converged
-    assert both.sum() >= LEAST
-    apart = vertex_distance(exact.configuration, mixed.configuration)
-    same = both & (apart <= SAME)
-    scale = np.abs(exact.energy) + np.linalg.eigvalsh(material.bend[:, 0])[:, -1] / 99.0
-    difference = np.abs(exact.energy - mixed.energy) / scale
-    assert (difference[same] <= 1e-8).all()
-    # A rod without weight swings about its line at no cost: other places, the same energy.
-    alike = difference <= 1e-8 if row.endswith("no weight") else same
-    assert (alike & both).sum() >= LEAST - 2
 
 
 @pytest.mark.slow

@@ -104,30 +104,6 @@ def test_obstacles_and_the_clamp_carry_all_loads():
         np.testing.assert_allclose(together[0], [0.0, 0.0, 2.0 * LENGTH + 500.0], atol=1e-2)
 
 
-def test_forces_at_the_ends_and_their_derivatives(rng):
-    """Both together carry all loads; by central differences, for all pairs of clamps that hold an end."""
-    start, clamps, _, springs = rods_under_springs(rng, 1, True, ends=HELD_ENDS)
-    loads = PointLoads(100.0 * rng.normal(size=springs.points.shape), rng.uniform(0, 100, springs.stiffness.shape))
-    bend = rng.uniform(1e5, 3e5, start.count)
-
-    def relaxed(change=0.0, begin=start, solver=SHARP):
-        return relax(begin, Material(bend + change, 2e5, 100.0), clamps, solver, up=UP, external=loads)
-
-    solution, up = relaxed(), UP / np.linalg.norm(UP)
-    found, ends = sensitivity(solution, ("bend",)), end_loads(solution)
-    assert found.usable.all()
-    weight = 200.0 * start.rest_length.sum(axis=-1) + loads.mass.sum(axis=1)
-    np.testing.assert_allclose(ends.start_force + ends.end_force, weight[:, None] * up - loads.force.sum(axis=1), rtol=1e-9)
-    more, less = (relaxed(step, solution, replace(SHARP, first_shift=0.0)) for step in (10.0, -10.0))
-    pairs = [(found.vertices, more.configuration.vertices - less.configuration.vertices)]
-    pairs += [(getattr(found.loads, name), getattr(end_loads(more), name) - getattr(end_loads(less), name))
-              for name in ("start_force", "start_moment", "end_force", "end_moment")]
-    for own, difference in pairs:
-        own, expected = own[..., 0].reshape(len(own), -1), (difference / 20.0).reshape(len(own), -1)
-        size = np.abs(own).max(axis=1)
-        assert (np.abs(own - expected).max(axis=1) < 1e-5 * size + 1e-6 * size.max()).all()
-
-
 def test_what_has_no_derivatives_is_refused():
     rod = straight_rod(LENGTH, 20)
     material, held = Material(BEND, BEND), end_clamps(rod, Clamp.FRAME, Clamp.FREE)
