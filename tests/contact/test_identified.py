@@ -68,20 +68,6 @@ def motion() -> RecordedMotion:
     return recorded(np.random.default_rng(2011))
 
 
-@pytest.mark.thorough
-def test_friction_and_stiffness_are_found_in_noise(motion, rng):
-    """0.3 mm at every marker, those of the grippers included, whose noise shakes the rod loose unless it is smoothed."""
-    noisy = RecordedMotion.of(motion.positions + 0.3 * rng.normal(size=motion.positions.shape), RATE)
-    found = identify_from_guesses(noisy, OPTIONS)
-    rows = {row["name"]: row for row in found.parameters()}
-    for name, off in (("bend", 0.05), ("bend_damping", 0.1), ("friction", 0.05)):
-        row = rows[name]
-        print(f"{name} {row['value']:.4g} [{row['low']:.4g}, {row['high']:.4g}], {getattr(TRUE, name):.4g} in truth")
-        assert row["value"] == pytest.approx(getattr(TRUE, name), rel=off)
-    shaken = identify_from_guesses(noisy, AS_RECORDED)
-    assert abs(found.theta.friction - TRUE.friction) < abs(shaken.theta.friction - TRUE.friction)
-
-
 @pytest.mark.slow
 def test_intervals_hold_the_truth(rng):
     """Of ten sets of six recordings, with 0.3 mm at every marker."""
