@@ -52,6 +52,13 @@ def test_the_same_material_said_in_two_ways(rods, way):
     assert_same(solution, slice(None), relax(start, second, clamps), slice(None))
 
 
+def test_what_differs_along_the_rod_or_across_it_is_not_isotropic():
+    along = np.linspace(1.0, 2.0, EDGES)
+    for material in (Material(2e5 * along[None, :, None, None] * np.eye(2), 1e5), Material(2e5, 1e5 * along[None, 1:]),
+                     Material(2e5, 1e5, 1.0, [0.01, 0.0]), Material(B, 1e5), Material([2e5 * np.eye(2), B], 1e5)):
+        assert not material.is_isotropic
+
+
 def test_pairs_of_rows(rods):
     """Rows may come in any order and as often as they like."""
     start, clamps = rods
