@@ -26,16 +26,6 @@ def rolled_out(rng, count: int, noise: float) -> RecordedMotion:
     return RecordedMotion.of(positions[:, 0] + noise * rng.normal(size=positions[:, 0].shape), RATE)
 
 
-def test_what_was_simulated_is_predicted(rng):
-    """From two frames on, but for the first velocity, a difference; straight at rest, so that no twist is hidden in them."""
-    theta = replace(TRUE, rest=np.zeros((2, 0)))
-    motion = RecordedMotion.of(recorded(rng, theta, 4, 80, 0.0), RATE)
-    assert motion.glitches() == []
-    positions, status = OPTIONS.rollouts(motion, theta).predicted([theta])
-    apart = np.abs(positions[:, 0] - motion.positions).max()
-    assert (status == 0).all() and apart < 0.5
-
-
 def test_theta_is_found_from_recordings_without_noise(rng):
     found = identify(rolled_out(rng, 4, 0.0), GUESS, OPTIONS)
     apart = np.abs(found.vector - found.unknowns.vector(TRUE)).max()

@@ -16,7 +16,6 @@ from tests.references import rods as references
 from tests.references.rods import at_rest, chain, clamps_at
 
 MATERIAL = Material(6e5, 8e5)
-SOFT_IN_TWIST = Material(6e5, 1e5)
 EDGES = 33
 
 
@@ -62,20 +61,6 @@ def test_every_material_with_every_start():
     alone = predict(rods.take([1]), Material(2e6, 8e5), clamps.take([1]), line(clamps.take([1]), np.zeros(3), [-5.0, 2.0, 1.0]))
     np.testing.assert_array_equal(together.quaternions[:, 3], alone.quaternions[:, 0])
     np.testing.assert_array_equal(together.energy[:, 3], alone.energy[:, 0])
-
-
-def test_840_degrees_are_840_degrees():
-    """Two moments, the frame of 120° at the last: its rotation says how it got there, and the rod holds all of it."""
-    rods, clamps = bows(SOFT_IN_TWIST)
-    prediction = predict(rods, SOFT_IN_TWIST, clamps, line(clamps, rotation=[0.0, np.radians(840.0)]))
-    assert prediction.followed.all()
-    np.testing.assert_allclose(np.degrees(prediction.end_rotation[-1]), 840.0, atol=1e-6)
-    short = predict(rods, SOFT_IN_TWIST, clamps, line(clamps, rotation=[0.0, np.radians(120.0)]))
-    np.testing.assert_allclose(np.degrees(short.end_rotation[-1]), 120.0, atol=1e-6)
-    np.testing.assert_allclose(prediction.at(-1).frames[:, -1], short.at(-1).frames[:, -1], atol=1e-9)
-    # Twist and writhe add up to what the clamps did: modulo whole turns of writhe, the same frames.
-    gained = np.degrees(prediction.total_twist[-1] - short.total_twist[-1])
-    assert (np.abs(gained) > 90).all()
 
 
 @pytest.mark.thorough
