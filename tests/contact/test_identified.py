@@ -7,13 +7,12 @@ import numpy as np
 import pytest
 
 from doo_ti import Clamp, Configuration, Grippers, Moving, Observations, Plane, RecordedMotion, Stepping, Surroundings, simulate
-from doo_ti.commands.cli import main
 from doo_ti.dynamics.identify import IdentifyOptions, identify, identify_from_guesses
-from doo_ti.dynamics.rollouts import Nearby
 from doo_ti.dynamics.theta import MotionTheta, Stills, Unknowns, load_theta, save_form, simulated
 from doo_ti.rod.frames import bishop_frames, quaternion_from_matrix, rotation_matrix
-from tests.commands.calls import refused
+from tests.commands.calls import made
 from tests.conftest import check_refused
+from tests.dynamics.test_identify import slopes_and_differences
 
 RATE, COUNT, FRAMES, SETTLING = 100.0, 6, 150, 60
 RADIUS, HEIGHT, EDGE, EDGES = 4.0, 12.0, 40.0, 12  # mm
@@ -44,8 +43,8 @@ def arcs(rng) -> tuple[Configuration, np.ndarray]:
     return Configuration(HEIGHT * up, quaternion_from_matrix(frames), TRUE.rest_length), frames
 
 
-def recorded(rng, end: Clamp = Clamp.FRAME) -> RecordedMotion:
-    """Arcs whose ends, or whose first end alone, are held just above the table and carried about."""
+def recorded(rng) -> RecordedMotion:
+    """Arcs whose ends are held just above the table and carried about."""
     start, frames = arcs(rng)
     together, ways = np.pad(swings(rng, 100.0, 2), ((0, 0), (0, 0), (0, 1))), []
     for vertex in (0, -1):
@@ -53,11 +52,11 @@ def recorded(rng, end: Clamp = Clamp.FRAME) -> RecordedMotion:
         turn = rotation_matrix(swings(rng, 0.5, 1) * TRUE.reference)
         ways += [start.vertices[:, None, vertex] + together + apart, turn @ frames[:, None, vertex]]
     material, dynamics = simulated([TRUE])
-    grippers = Grippers(Clamp.FRAME, end, ways[0], ways[2], ways[1], ways[3])
+    grippers = Grippers(Clamp.FRAME, Clamp.FRAME, ways[0], ways[2], ways[1], ways[3])
     found = simulate(start, material, grippers, dynamics, Stepping(RATE), obstacles=[TABLE.rubbing(TRUE.friction)],
                      radius=RADIUS)
     assert found.converged.all()
-    motion = RecordedMotion.of(found.positions[:, SETTLING - 1 :], RATE, free_end=end == Clamp.FREE)
+    motion = RecordedMotion.of(found.positions[:, SETTLING - 1 :], RATE)
     # As they move from where their first two frames show them.
     positions, status = AS_RECORDED.rollouts(motion, TRUE).predicted([TRUE])
     assert (status == 0).all() and np.abs(positions[:, 0] - motion.positions).max() < 0.2
@@ -67,30 +66,6 @@ def recorded(rng, end: Clamp = Clamp.FRAME) -> RecordedMotion:
 @pytest.fixture(scope="module")
 def motion() -> RecordedMotion:
     return recorded(np.random.default_rng(2011))
-
-
-@pytest.mark.thorough
-def test_friction_and_stiffness_are_found_in_noise(motion, rng):
-    """0.3 mm at every marker, those of the grippers included, whose noise shakes the rod loose unless it is smoothed."""
-    noisy = RecordedMotion.of(motion.positions + 0.3 * rng.normal(size=motion.positions.shape), RATE)
-    found = identify_from_guesses(noisy, OPTIONS)
-    rows = {row["name"]: row for row in found.parameters()}
-    for name, off in (("bend", 0.05), ("bend_damping", 0.1), ("friction", 0.05)):
-        row = rows[name]
-        print(f"{name} {row['value']:.4g} [{row['low']:.4g}, {row['high']:.4g}], {getattr(TRUE, name):.4g} in truth")
-        assert row["value"] == pytest.approx(getattr(TRUE, name), rel=off)
-    shaken = identify_from_guesses(noisy, AS_RECORDED)
-    assert abs(found.theta.friction - TRUE.friction) < abs(shaken.theta.friction - TRUE.friction)
-
-
-@pytest.mark.thorough
-def test_a_rope_may_be_dragged_at_one_end(rng):
-    """With 0.3 mm of noise at all markers; the free end slides as well."""
-    motion = recorded(rng, Clamp.FREE)
-    noisy = replace(motion, positions=motion.positions + 0.3 * rng.normal(size=motion.positions.shape))
-    for seen, smoothing, off in ((motion, 1, 1e-3), (noisy, None, 0.05)):
-        found = identify(seen, GUESS, replace(OPTIONS, smoothing=smoothing)).theta
-        assert found.bend == pytest.approx(TRUE.bend, rel=off) and found.friction == pytest.approx(TRUE.friction, rel=off)
 
 
 @pytest.mark.slow
@@ -110,36 +85,15 @@ def test_intervals_hold_the_truth(rng):
     assert np.mean(inside) > 0.7 and (largest < 0.15).all()
 
 
-@pytest.mark.thorough
-def test_differences_of_rollouts_are_those_of_any_step(motion):
-    """Ten times the step gives the same slopes, but where contacts begin."""
-    fitted = Unknowns(TRUE, 0, OPTIONS.fitted)
-    rollouts, p = OPTIONS.rollouts(motion.until(60), TRUE), fitted.vector(TRUE)
-    slopes = []
-    for step in (5e-3, 5e-2):
-        nearby = [Nearby(fitted.theta(p - away), fitted.theta(p + away), 2 * step) for away in step * np.eye(len(p))]
-        positions, found, status = rollouts.differentiated(TRUE, nearby)
-        assert (status == 0).all() and positions.shape == found[:, 0].shape
-        slopes.append(found)
-    square = [np.sum(value**2, axis=(0, 2, 3, 4)) for value in (slopes[0] - slopes[1], slopes[0])]
-    off = np.sqrt(square[0] / square[1])
-    assert (off < 0.1).all()
-
-
 @pytest.mark.slow
 def test_still_frames_lie_on_the_table(motion):
     """Their derivatives are differences, with the contacts that bear a force."""
     seen = Observations(motion.positions[:3, 0], rest_length=TRUE.rest_length)
     stills = Stills.of(seen, TRUE.reference, TRUE.rest_length.sum(), OPTIONS.surroundings)
-    unknowns = Unknowns(TRUE, 1, ())
     solution = stills.rested(TRUE)
     assert (solution.contact.force[..., 2] > 0).any(axis=1).all() and stills.residuals(solution)[1].all()
-    slopes, p = stills.slopes(TRUE, solution, unknowns), unknowns.vector(TRUE)
-    for k in range(len(p)):
-        step = 1e-4 * np.eye(len(p))[k]
-        ahead, behind = (stills.residuals(stills.rested(unknowns.theta(q)))[0] for q in (p + step, p - step))
-        difference = (ahead - behind) / 2e-4
-        assert np.abs(slopes[:, k] - difference).max() < 0.02 * np.abs(difference).max() + 1e-3, unknowns.names[k]
+    for slope, difference in zip(*slopes_and_differences(stills, TRUE, Unknowns(TRUE, 1, ())), strict=True):
+        assert np.abs(slope - difference).max() < 0.02 * np.abs(difference).max() + 1e-3
 
 
 @pytest.mark.parametrize("wrong, problem", [
@@ -158,34 +112,26 @@ def test_what_cannot_be_identified_is_one_line(rng):
     check_refused(r"hold the rod up to 0\.5\d* mm inside", identify, motion, GUESS, high)
 
 
+def written(path, friction: float | None):
+    """A file of TRUE, but for its friction."""
+    form = {key: value.tolist() if isinstance(value, np.ndarray) else value for key, value in save_form(TRUE).items()}
+    path.write_text(json.dumps(form | {"friction": friction}))
+    return path
+
+
 @pytest.mark.thorough
-def test_commands_take_the_table_and_the_friction(motion, tmp_path, capsys):
+def test_simulate_takes_the_table_and_the_friction_of_theta(motion, tmp_path):
     np.savez(tmp_path / "dragged.npz", positions_mm=motion.positions, rate_hz=RATE)
     (tmp_path / "table.toml").write_text('[[obstacles]]\nkind = "plane"\npoint = [0, 0, 0]\nnormal = [0, 0, 1]\n')
-    among = ["--obstacles", str(tmp_path / "table.toml"), "--radius", str(RADIUS)]
-    source, out = str(tmp_path / "dragged.npz"), tmp_path / "theta.json"
-    fit = ["identify", source, "--modes", "0", "--fit", "bend_damping,friction", "--out", str(out)]
-    assert main([*fit, "--smoothing", "1", "--picture", str(tmp_path / "fit.png"), *among]) == 0
-    assert "friction        0.3" in capsys.readouterr().out and (tmp_path / "fit.png").exists()
-    assert load_theta(out).friction == pytest.approx(TRUE.friction, rel=0.02)
-
-    def error(theta) -> float:
-        other, made = tmp_path / "other.json", tmp_path / "f.npz"
-        other.write_text(json.dumps(theta))
-        assert main(["simulate", source, "--theta", str(other), "--out", str(made), *among]) == 0
-        return float(np.load(made)["error_mm"].mean())
-
-    written = json.loads(out.read_text())
-    assert error(written) < 0.1 < error(written | {"friction": 0.25}) < error(written | {"friction": 0.1})
-    for more in (fit, [*fit, *among, "--smoothing", "4"], [*fit, *among[:2], "--radius", "20"]):
-        capsys.readouterr()
-        refused(capsys, tmp_path, more)
+    errors = []
+    for friction in (TRUE.friction, 0.25, 0.1):
+        found = made(["simulate", str(tmp_path / "dragged.npz"), "--theta", str(written(tmp_path / "theta.json", friction)),
+                      "--out", str(tmp_path / "f.npz"), "--obstacles", str(tmp_path / "table.toml"), "--radius", str(RADIUS)])
+        errors.append(found["error_mm"].mean())
+    assert errors[0] < 0.1 < errors[1] < errors[2]
 
 
 def test_theta_keeps_its_friction(tmp_path):
-    for theta in (TRUE, replace(TRUE, friction=None)):
-        form = {key: value.tolist() if isinstance(value, np.ndarray) else value for key, value in save_form(theta).items()}
-        (tmp_path / "theta.json").write_text(json.dumps(form))
-        assert load_theta(tmp_path / "theta.json").friction == theta.friction
-    (tmp_path / "theta.json").write_text(json.dumps(form | {"friction": -0.1}))
-    check_refused("friction", load_theta, tmp_path / "theta.json")
+    for friction in (TRUE.friction, None):
+        assert load_theta(written(tmp_path / "theta.json", friction)).friction == friction
+    check_refused("friction", load_theta, written(tmp_path / "theta.json", -0.1))

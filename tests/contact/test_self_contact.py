@@ -18,9 +18,8 @@ from doo_ti.rod.shapes import end_clamps, overhand_knot, rod_along, straight_rod
 from doo_ti.rod.types import Clamp, Clamps, Configuration, Material, Status
 from doo_ti.system import runtime
 from tests.conftest import check_refused
-from tests.contact.test_equilibrium import unbalanced
 from tests.contact.topology import determinant, link
-from tests.oracle.chain_form import chain_energy, rod_of
+from tests.oracle.external import where_found
 from tools.studies.knots_and_coils import WEIGHT, tied
 
 RADIUS, STIFFNESS = 1.0, 1e5
@@ -150,7 +149,6 @@ def test_rods_keep_their_distance_and_their_link(coiled):
     assert (plain.quaternions[0] == shapes.quaternions[0]).all(), "a rod far from itself is computed as without contact"
 
 
-@pytest.mark.thorough
 def test_a_knot_stays_and_its_forces_balance(knotted):
     clamps, solution = knotted
     assert solution.converged.all() and solution.stable.all()
@@ -159,9 +157,10 @@ def test_a_knot_stays_and_its_forces_balance(knotted):
     assert determinant(shape.vertices[0]) == 3
     force = solution.contact.force[0]
     assert np.abs(force.sum(axis=0)).max() < 1e-9 * np.abs(force).max(), "it exerts no force on itself as a whole"
-    residual, pull = unbalanced(shape, Material(STIFFNESS, STIFFNESS, 0.0), clamps, force)
-    assert residual * 160.0 / STIFFNESS < 1e-7
-    assert np.allclose(pull, solution.end_force[0], rtol=1e-6, atol=1e-6 * np.abs(pull).max())
+    here = where_found(shape, Material(STIFFNESS, STIFFNESS, 0.0), clamps, 0, force=force)
+    assert here.residual * 160.0 < 1e-7
+    assert solution.energy[0] == pytest.approx(here.energy + (force * shape.vertices[0]).sum(), rel=1e-9)
+    assert np.allclose(-here.force, solution.end_force[0], rtol=1e-6, atol=1e-6 * np.abs(here.force).max())
 
 
 @pytest.mark.thorough
@@ -177,15 +176,6 @@ def test_the_force_of_a_wide_knot():
     force = np.linalg.norm(solution.end_force[0]) * RADIUS**2 / STIFFNESS
     loop = 1.0 / solution.configuration.curvature[0, rod.edges // 2]
     assert 1.0 < force / (0.5 * (RADIUS / loop) ** 2) < 1.3
-
-
-def test_the_energy_of_a_knot_is_that_of_the_rod_alone():
-    rod, material = overhand_knot(200.0, 60, radius=RADIUS, loop=15.0), Material(STIFFNESS, STIFFNESS, 1.0)
-    solution = relax(rod, material, end_clamps(rod, Clamp.TANGENT, Clamp.TANGENT), obstacles=[Itself()], radius=RADIUS)
-    rest = solution.configuration
-    energy = sum(chain_energy(rod_of(rest, material), rest.start[0], rest.quaternions[0]))
-    assert solution.converged[0] and solution.contact.touching.any()
-    assert solution.energy[0] == pytest.approx(energy, rel=1e-10)
 
 
 @pytest.mark.thorough

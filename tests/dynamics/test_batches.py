@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from doo_ti import Clamp, Direction, Dynamics, Grippers, InputError, Material, Springs, Status, Stepping, simulate
+from doo_ti import Clamp, Dynamics, Grippers, InputError, Material, Springs, Stepping, simulate
 from doo_ti.dynamics import simulate as simulation
 from tests.dynamics.test_energies import CURVED, at_rest, shaken
 from tests.references.rods import clamps_at
@@ -39,32 +39,6 @@ def test_a_rod_moves_alone_as_among_others(rng):
     for name in ("positions", "status", "iterations", "residual", "end_force"):
         np.testing.assert_array_equal(getattr(elsewhere, name), getattr(together, name)[order])
         np.testing.assert_array_equal(getattr(alone, name)[0], getattr(together, name)[7])
-
-
-@pytest.mark.parametrize("material", [MATERIAL, Material.diagonal(3e4, 2e4, 1e4)], ids=["round", "strip"])
-def test_derivatives_of_a_rod_are_the_same_alone_as_among_others(rng, material):
-    """Bit by bit: lanes wait for each other, and threads meet other rods in every run."""
-    rods, grippers = swung(rng, 12)
-    stiffer = Material(1.01 * material.bend, material.twist, material.weight)
-    along = [Direction((material, DYNAMICS), (stiffer, DYNAMICS), 0.01)]
-    together, *alone = (simulate(rods.take(rows), material, grippers.take(rows), DYNAMICS, Stepping(RATE), directions=along)
-                        for rows in (np.arange(12), *np.arange(12)[:, None]))
-    assert together.converged.all()
-    np.testing.assert_array_equal(np.concatenate([one.slopes for one in alone]), together.slopes)
-
-
-def test_a_rod_that_fails_stops_alone(rng):
-    rods, grippers = swung(rng, 12)
-    before = moved(rods, grippers)
-    far = grippers.end_position.copy()
-    far[5, 3:] += 1000.0
-    after = moved(rods, replace(grippers, end_position=far))
-    assert (after.status[5, :2] == Status.CONVERGED).all() and (after.status[5, 2:] != Status.CONVERGED).all()
-    assert len(set(after.status[5, 2:])) == 1
-    assert np.isfinite(after.positions[5, :2]).all() and np.isnan(after.positions[5, 2:]).all()
-    others = np.arange(12) != 5
-    np.testing.assert_array_equal(after.positions[others], before.positions[others])
-    np.testing.assert_array_equal(after.converged, others)
 
 
 @pytest.mark.thorough

@@ -3,13 +3,14 @@
 import numpy as np
 import pytest
 
-from doo_ti import Clamp, Configuration, Grippers, Material, Newton, Status, simulate
+from doo_ti import Clamp, Configuration, Material, Newton, Status, simulate
 from doo_ti.dynamics import simulate as simulation
 from doo_ti.dynamics.parameters import Direction, Dynamics, MovingStart, Stepping
-from doo_ti.rod.frames import bishop_frames, matrix_from_quaternion, quaternion_about, quaternion_from_matrix
 from tests.conftest import check_refused
+from tests.dynamics.test_energies import INSTANTS, RATE, shaken
+from tests.references.rods import bows
 
-EDGES, STEPS, RATE = 7, 30, 100.0
+EDGES = 7
 LENGTHS = np.linspace(38.0, 46.0, EDGES)
 NAMES = ("bend", "twist", "rest", "weight", "bend_damping", "twist_damping", "drag", "quadratic_drag", "point_mass")
 POINT = np.array([3e6, 2e6, 1.0, 1.1, 0.03, 0.02, 0.4, 3e-4, 4.0])
@@ -33,33 +34,15 @@ def rod(numbers):
                      quadratic_drag=value["quadratic_drag"], point_mass=mass))
 
 
-def bow(rods: int):
-    """(start configurations, (S, V, 3) vertices): arches of different heights."""
-    place = (np.arange(EDGES) + 0.5) / EDGES
-    height = 0.7 + 0.2 * np.arange(rods)[:, None]
-    slope = height * np.cos(np.pi * place)
-    t = np.stack([np.cos(slope) * np.cos(0.3 * place), np.cos(slope) * np.sin(0.3 * place), np.sin(slope)], axis=-1)
-    vertices = np.concatenate([np.zeros((rods, 1, 3)), np.cumsum(t * LENGTHS[:, None], axis=1)], axis=1)
-    frames = quaternion_from_matrix(bishop_frames(t, np.broadcast_to([0.0, 1.0, 0.0], (rods, 3))))
-    return Configuration(vertices[:, 0].copy(), frames, LENGTHS), vertices
-
-
-def moving(configuration, vertices, start: Clamp, end: Clamp) -> Grippers:
-    """Grippers that swing and turn."""
-    time = np.arange(STEPS + 1)[:, None] / RATE
-    swing = np.concatenate([30 * np.sin(9 * time), 20 * np.sin(7 * time), 25 * (1 - np.cos(8 * time))], axis=-1)
-    angle = 0.5 * np.sin(6 * time[:, 0])
-    turn = matrix_from_quaternion(quaternion_about(np.broadcast_to([0.6, 0.0, 0.8], (STEPS + 1, 3)), angle))
-    ends = matrix_from_quaternion(configuration.quaternions[:, [0, -1]])
-    first, last = (np.einsum("tij,sjk->stik", turn, ends[:, k]) for k in (0, 1))
-    return Grippers(start, end, vertices[:, None, 0] + swing, vertices[:, None, -1] - 0.5 * swing * [1, 1, -1], first, last)
+def arches(count: int) -> Configuration:
+    """Of different heights."""
+    return bows(*(0.7 + 0.2 * np.arange(count)), edges=EDGES, rest_length=LENGTHS)
 
 
 def motion(start: Clamp, end: Clamp, numbers, rods: int = 2, directions=(), smooth=True, **stepping):
-    """The trajectory of rods with such ends and numbers."""
-    configuration, vertices = bow(rods)
+    """The trajectory of rods with such ends and numbers, whose grippers move and turn."""
     material, dynamics = rod(numbers)
-    return simulate(MovingStart(configuration, smooth=smooth), material, moving(configuration, vertices, start, end), dynamics,
+    return simulate(MovingStart(arches(rods), smooth=smooth), material, shaken(arches(rods), start, end), dynamics,
                     Stepping(RATE, **stepping), directions=directions)
 
 
@@ -106,7 +89,7 @@ def test_rods_of_a_pack_do_not_depend_on_each_other(monkeypatch):
     together = motion(Clamp.FRAME, Clamp.TANGENT, POINT, rods=11, **options)
     few = motion(Clamp.FRAME, Clamp.TANGENT, POINT, rods=2, **options)
     plain = motion(Clamp.FRAME, Clamp.TANGENT, POINT, rods=11, smooth=False)
-    assert together.slopes.shape == (11, STEPS, len(NAMES), EDGES + 1, 3)
+    assert together.slopes.shape == (11, INSTANTS - 1, len(NAMES), EDGES + 1, 3)
     np.testing.assert_array_equal(together.slopes[:2], few.slopes)
     np.testing.assert_array_equal(together.positions, plain.positions)
     np.testing.assert_array_equal(together.iterations, plain.iterations)
@@ -134,11 +117,10 @@ def test_rods_without_losses():
 
 
 def test_a_rod_that_fails_has_no_derivatives_from_there_on():
-    configuration, vertices = bow(3)
-    grippers = moving(configuration, vertices, Clamp.FRAME, Clamp.FRAME)
+    grippers = shaken(arches(3), Clamp.FRAME, Clamp.FRAME)
     grippers.end_position[1, 12:] += 1e4  # beyond the rod's reach
     material, dynamics = rod(POINT)
-    found = simulate(MovingStart(configuration, smooth=False), material, grippers, dynamics, Stepping(RATE),
+    found = simulate(MovingStart(arches(3), smooth=False), material, grippers, dynamics, Stepping(RATE),
                      directions=all_directions())
     np.testing.assert_array_equal(found.converged, [True, False, True])
     np.testing.assert_array_equal(np.isfinite(found.slopes).all(axis=(2, 3, 4)), found.status == Status.CONVERGED)

@@ -56,15 +56,6 @@ class Body:
         bend = self.rod.bend
         return bool((bend == bend[0, 0, 0] * np.eye(2)).all() and not self.rod.rest_curvature.any())
 
-    @classmethod
-    def of(cls, rod: Rod, density, point_mass, drag, quadratic_drag, bend_damping, twist_damping, spring_points,
-           spring_stiffness) -> "Body":
-        """From the numbers that the package takes; point_mass (V,) mm of rod."""
-        own = 2.0 * density / GRAVITY * rod.vertex_length / 2.0
-        point = np.broadcast_to(point_mass, own.shape)
-        return cls(rod, own + 2.0 * density / GRAVITY * point, 2.0 * rod.weight * point, drag * own, quadratic_drag * own,
-                   bend_damping, twist_damping, spring_points, spring_stiffness)
-
 
 @dataclass(frozen=True)
 class Instant:
@@ -181,10 +172,11 @@ def histories(rod, rods, grippers, velocity, row, acceleration, h) -> tuple[Inst
 
 def dense_motion(rods, material, grippers, dynamics, velocity, springs, row, scheme, smooth):
     """((T − 1, V, 3) positions, (T − 1, 3) forces of the far clamp) of one rod."""
-    rod, h = rod_of(rods, material, row, up=UP), 1.0 / RATE
-    numbers = (dynamics.drag, dynamics.quadratic_drag, dynamics.bend_damping, dynamics.twist_damping)
-    body = Body.of(rod, dynamics.density[row], dynamics.point_mass[row], *(value[row] for value in numbers),
-                   springs.points[row], springs.stiffness[row])
+    rod, h, point = rod_of(rods, material, row, up=UP), 1.0 / RATE, dynamics.point_mass[row]  # mm of rod
+    own = dynamics.density[row] / GRAVITY * rod.vertex_length
+    body = Body(rod, own + 2.0 * dynamics.density[row] / GRAVITY * point, 2.0 * rod.weight * point, dynamics.drag[row] * own,
+                dynamics.quadratic_drag[row] * own, dynamics.bend_damping[row], dynamics.twist_damping[row],
+                springs.points[row], springs.stiffness[row])
     acceleration = np.zeros((EDGES + 1, 3))
     if smooth:
         tried, _ = step(body, *histories(rod, rods, grippers, velocity, row, acceleration, h), grippers.at(1), row, h, "euler")

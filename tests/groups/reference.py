@@ -9,8 +9,8 @@ from scipy.spatial.transform import Rotation
 
 from doo_ti import Clamp, Group
 from tests.oracle.chain_form import rod_of
-from tests.oracle.equilibrium import State, clamped_start, free_variables, moved, vertices_of
-from tests.oracle.external import Loads, Springs, total_derivatives, vertex_jacobian
+from tests.oracle.equilibrium import clamped_start, free_variables, moved, vertices_of
+from tests.oracle.external import Springs, total_derivatives, vertex_jacobian
 
 STEPS, LONGEST, ENOUGH = 60, 0.3, 1e-9  # of Newton's method, and rad: of a step at most, and at its end
 BALANCINGS, NEUTRAL = 30, 1e-11
@@ -47,8 +47,10 @@ def nearest_equilibrium(group: Group, row: int = 0) -> Reference:
     for _ in range(STEPS):
         places = [vertices_of(rod, state) for rod, state in zip(rods, states, strict=True)]
         rows, miss, at = _constraints(group, rods, states, places, ends, first)
-        gradient = np.concatenate([derivatives_under(*parts)[0] for parts in zip(rods, states, weights, strict=True)])
-        hessian = block_diag(*(derivatives_under(*parts)[1] for parts in zip(rods, states, pulls, strict=True)))
+        slopes, curvatures = ([total_derivatives(rod, Springs.none(rod, -pull), state)[order]
+                               for rod, state, pull in zip(rods, states, under, strict=True)]
+                              for order, under in enumerate((weights, pulls)))
+        gradient, hessian = np.concatenate(slopes), block_diag(*curvatures)
         turn = block_diag(*(_from_joints(state.quaternions) for state in states))
         held = np.delete(np.eye(first[-1]), free, axis=0)
         border, wrong = np.concatenate([rows, held]) @ turn, np.concatenate([miss, np.zeros(len(held))])
@@ -72,11 +74,6 @@ def nearest_equilibrium(group: Group, row: int = 0) -> Reference:
     end_force[[rod for rod, end in enumerate(ends) if end.end is not Clamp.FREE]] = forces[len(group.ties) :]
     return Reference([vertices_of(rod, state) for rod, state in zip(rods, states, strict=True)], float(size),
                      forces[: len(group.ties)], end_force, float(eigenvalues[0] / eigenvalues[-1]))
-
-
-def derivatives_under(rod, state: State, pull: np.ndarray):
-    """Gradient and Hessian of a rod whose vertices bear a constant gradient ``pull`` (V, 3)."""
-    return total_derivatives(rod, Loads(Springs.none(rod), -pull), state)
 
 
 def _from_joints(quaternions: np.ndarray) -> np.ndarray:

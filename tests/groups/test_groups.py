@@ -33,42 +33,31 @@ def a_y(edges: int = 20) -> Group:
     return Group(rods, MATERIAL, clamps, [Tie((0, -1), (1, -1), weight=5.0), Tie((2, -1), (0, -1))])
 
 
-@pytest.mark.thorough
-def test_a_rod_cut_in_two_and_tied():
-    """The tie is a hinge: against the reference, to a millionth of the length."""
+def a_rod_cut_in_two() -> Group:
+    """And tied again, by a hinge."""
     whole, held = hanging(100.0, 36, (0, 0, 0), (70, 0, 0), clamp=Clamp.FRAME)
     x = whole.vertices
     parts = [Configuration(x[:, 0], whole.quaternions[:, :20], whole.rest_length[:20]),
              Configuration(x[:, 20], whole.quaternions[:, 20:], whole.rest_length[20:])]
-    free = end_clamps(parts[0], Clamp.FRAME, Clamp.FREE)
     far = Clamps(Clamp.FREE, Clamp.FRAME, x[:, 20], held.end_position, held.end_frame, held.end_frame)
-    solution = certified(relax_group(Group(parts, MATERIAL, [free, far], [Tie((0, -1), (1, 0))])))
+    return Group(parts, MATERIAL, [end_clamps(parts[0], Clamp.FRAME, Clamp.FREE), far], [Tie((0, -1), (1, 0))])
+
+
+@pytest.mark.sampled(1)
+@pytest.mark.parametrize("group", [a_y, a_rod_cut_in_two])
+def test_tied_rods_are_those_of_the_reference(group):
+    """Shapes to a millionth of the length, and forces; what the clamps hold together is the weight of rods and connector."""
+    solution = certified(relax_group(group()))
     assert solution.closure[0] < 1e-10
     exact = nearest_equilibrium(solution.group)
-    assert exact.least > 0.0 and exact.step < 1e-6
+    assert exact.least > -1e-11 and exact.step < 1e-6  # a round rod between two points may spin
+    length = [rod.rest_length.sum() for rod in solution.rods]
     for rod, vertices in zip(solution.rods, exact.vertices, strict=True):
-        assert np.abs(rod.vertices[0] - vertices).max() < 1e-6 * 100.0
+        assert np.abs(rod.vertices[0] - vertices).max() < 1e-6 * max(length)
     assert np.allclose(solution.tie_force[0], exact.tie_force, rtol=1e-5, atol=1e-3)
-    assert np.allclose(solution.end_force[0, 1], exact.end_force[1], rtol=1e-5, atol=1e-3)
-    whole_weight = 2.0 * 100.0
-    assert np.allclose(solution.start_force[0, 0] + solution.end_force[0, 1], [0.0, 0.0, whole_weight], atol=1e-3)
-
-
-def test_three_rods_tied_in_one_point():
-    group = a_y()
-    solution = certified(relax_group(group))
-    tips = np.array([rod.vertices[0, -1] for rod in solution.rods])
-    assert np.abs(tips - tips[0]).max() < 1e-8
-    exact = nearest_equilibrium(solution.group)
-    for rod, vertices in zip(solution.rods, exact.vertices, strict=True):
-        assert np.abs(rod.vertices[0] - vertices).max() < 1e-6 * 60.0
-    assert np.allclose(solution.tie_force[0], exact.tie_force, rtol=1e-5, atol=1e-3)
-    # What the clamps hold: all rods, and the connector.
-    assert np.allclose(solution.start_force[0].sum(axis=0), [0.0, 0.0, 3 * 2.0 * 60.0 + 5.0], atol=1e-3)
-    # Each rod is held by its clamp and its tie.
-    assert np.allclose(solution.start_force[0, 1] - solution.tie_force[0, 0], [0.0, 0.0, 120.0], atol=1e-3)
-    assert np.allclose(solution.start_force[0, 2] + solution.tie_force[0, 1], [0.0, 0.0, 120.0], atol=1e-3)
-    assert (solution.end_force == 0.0).all()
+    assert np.allclose(solution.end_force[0], exact.end_force, rtol=1e-5, atol=1e-3)
+    weight = 2.0 * sum(length) + sum(tie.weight for tie in solution.group.ties)
+    assert np.allclose((solution.start_force + solution.end_force)[0].sum(axis=0), [0.0, 0.0, weight], atol=1e-3)
 
 
 @pytest.mark.thorough

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_bvp
 
-from doo_ti import Dynamics, Group, GroupSolution, Newton, Tie, follow_group, relax, relax_group
+from doo_ti import Dynamics, Group, GroupSolution, Newton, Tie, follow_group, relax_group
 from doo_ti.rod.shapes import end_clamps, hanging, rod_along, straight_rod
-from doo_ti.rod.types import Clamp, Clamps, Configuration, Material
+from doo_ti.rod.types import Clamp, Configuration, Material
 from tests.conftest import check_refused
 from tests.groups.reference import nearest_equilibrium
 from tests.references.rods import certified
@@ -158,31 +158,6 @@ def test_a_heavy_ring_hangs_as_the_smooth_one():
     hung = [closed(edges, material, Clamp.TANGENT).rods[0].vertices[0, :, 2] for edges in EDGES]
     errors = [abs(np.ptp(heights) / exact - 1) for heights in hung]
     assert second_order(errors[1:]) and errors[-1] < 2e-4
-
-
-def apart(edges: int, clamp: Clamp) -> float:
-    """mm between a rod, and the same rod cut in its middle and welded."""
-    material = Material(1e6, 0.8e6)
-    rope, held = hanging(LENGTH, edges, (0, 0, 0), (240, 0, 0), vertex_clamps=True)
-    frame = np.eye(3)[None]
-    whole = relax(rope, material, Clamps(clamp, clamp, held.start_position, held.end_position, frame, frame)).configuration
-    cut, free = edges // 2 + 1, np.zeros_like(held.start_position)
-    joint = np.array([[[1.0, 0.0, 0.0, 0.0]]])  # both edges without length have one direction
-    halves = [Configuration(start, np.concatenate(frames, axis=1), np.concatenate(lengths)) for start, frames, lengths in (
-        (whole.start, (whole.quaternions[:, :cut], joint), (rope.rest_length[:cut], [0.0])),
-        (whole.vertices[:, cut], (joint, whole.quaternions[:, cut:]), ([0.0], rope.rest_length[cut:])))]
-    both = certified(relax_group(Group(halves, material, [
-        Clamps(clamp, Clamp.FREE, held.start_position, free, frame, frame),
-        Clamps(Clamp.FREE, clamp, free, held.end_position, frame, frame)], [Tie((0, -1), (1, 0), weld=True)])))
-    vertices = np.concatenate([both.rods[0].vertices[0, :cut], both.rods[1].vertices[0, 1:]])
-    return float(np.abs(vertices - whole.vertices[0]).max())
-
-
-@pytest.mark.parametrize("clamp", [Clamp.POSITION, Clamp.FRAME])
-def test_two_halves_are_one_rod(clamp):
-    """The joint in the middle is two of half the angle each."""
-    errors = [apart(edges, clamp) for edges in (10, 20, 40, 80)]
-    assert second_order(errors) and errors[-1] < 1e-5 * LENGTH
 
 
 def test_the_directions_of_end_edges_are_those_of_the_curve():

@@ -113,29 +113,19 @@ def test_a_loop_does_not_depend_on_the_others():
     assert together.status[5] == one.status[0] and np.array_equal(together.vertices[5], one.vertices[0])
 
 
-def test_grippers_stay_in_their_boxes_and_come_nearer_within_them():
-    own = tasks(1, 8)
-    first = own.clamps.end_position[0]
-    half = first + 0.5 * (own.goal[0, -1] - first)
-    box = np.array([np.minimum(first, half), np.maximum(first, half)])
-    free, kept = servo_of(own), servo_of(own, options=d.ServoOptions(end_box=tuple(map(tuple, box.tolist()))))
-    begun = kept.distance[0]
-    run(own, free, 12), run(own, kept, 12)
-    place = kept.clamps.end_position[0]
-    assert (box[0] <= place).all() and (place <= box[1]).all() and free.distance[0] < kept.distance[0] < begun
-
-
 def test_a_rod_that_its_boxes_keep_from_its_goal_stays_where_it_is_nearest():
     """The model is the rod: the way to a goal beyond the box would lead it away, and nowhere."""
     own, distances = some("own mesh").take(np.arange(6)), []
-    place = own.clamps.end_position
-    box = tuple((place.min(axis=0) - 10.0).tolist()), tuple((place.max(axis=0) + 10.0).tolist())
+    low, high = own.clamps.end_position.min(axis=0) - 10.0, own.clamps.end_position.max(axis=0) + 10.0
     simulation = d.Simulation(own.rods, own.nominal, own.clamps)
-    servo = servo_of(own, options=d.ServoOptions(end_box=box))
+    servo = servo_of(own, options=d.ServoOptions(end_box=(tuple(low.tolist()), tuple(high.tolist()))))
+    begun = servo.distance
     for _ in range(25):
-        state = simulation.step(servo.step(simulation.state.configuration.vertices))
+        clamps = servo.step(simulation.state.configuration.vertices)
+        assert (low <= clamps.end_position).all() and (clamps.end_position <= high).all()
+        state = simulation.step(clamps)
         distances.append(np.linalg.norm(state.configuration.vertices - own.goal, axis=-1).mean(axis=1))
-    assert (distances[-1] <= np.min(distances, axis=0) + 0.5).all()
+    assert (distances[-1] <= np.min(distances, axis=0) + 0.5).all() and (distances[-1] < begun).all()
 
 
 @pytest.mark.parametrize("held", ["obstacles", "vertex clamps", "one unknown"])

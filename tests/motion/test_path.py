@@ -4,11 +4,9 @@ which follow their branch with any size of sub-steps."""
 import numpy as np
 import pytest
 
-from doo_ti import Clamp, Clamps, InputError, Material, relax
-from doo_ti.motion.path import LARGEST_TURN, Motion, carry, motion_between
+from doo_ti import Clamp, Clamps, InputError
+from doo_ti.motion.path import LARGEST_TURN, motion_between
 from doo_ti.rod.frames import matrix_from_quaternion, quaternion_about
-from tests.references.rods import at_rest, bows, clamps_at
-from tests.relaxation.rods import vertex_distance
 
 
 def clamps_of(rng, count: int, start=Clamp.FRAME, end=Clamp.FRAME) -> Clamps:
@@ -101,53 +99,3 @@ def test_motions_that_never_end_are_refused(rng):
             motion.needed_steps(lengths, turn)
 
 
-MATERIALS = {"round": Material(6e5, 8e5, 1.0), "flat": Material.diagonal(3e6, 2e5, 5e5)}
-
-
-def relaxed_bows(material: Material):
-    """Three of them at rest, and their clamps."""
-    rods = at_rest(bows(0.6, 0.9, 1.2), material)
-    return rods, clamps_at(rods)
-
-
-def turned(clamps, degrees: float):
-    """(R, 3) rotation vectors about the end tangents."""
-    return np.radians(degrees) * clamps.end_frame[..., 0]
-
-
-@pytest.mark.parametrize("kind", MATERIALS)
-def test_halving_the_steps_changes_nothing(kind):
-    rods, clamps = relaxed_bows(MATERIALS[kind])
-    motion = Motion(clamps, end_shift=np.tile([-6.0, 3.0, 2.0], (3, 1)), end_turn=turned(clamps, 120.0))
-    goal, ends = motion.at(1.0).end_position, []
-    for steps in (24, 48):
-        solution, last = carry(rods, MATERIALS[kind], motion.states(steps))
-        assert (solution.converged & solution.stable).all()
-        np.testing.assert_allclose(solution.configuration.vertices[:, -1], goal, atol=1e-9)
-        ends.append(solution)
-    assert vertex_distance(ends[0].configuration, ends[1].configuration).max() < 1e-4
-    np.testing.assert_allclose(ends[1].energy, ends[0].energy, rtol=1e-9)
-
-
-def test_whole_turns_stay_in_the_rod():
-    """A clamp that makes a whole turn ends with the frame it had, and with its turn in the rod."""
-    material = Material(6e5, 1e5, 1.0)
-    rods, clamps = relaxed_bows(material)
-    solution, last = carry(rods, material, Motion(clamps, end_turn=turned(clamps, 360.0)).states(72))
-    np.testing.assert_allclose(last.end_frame, clamps.end_frame, atol=1e-9)
-    assert (solution.converged & solution.stable).all()
-    assert (solution.energy > relax(rods, material, clamps).energy * 1.05).all()
-    here = relax(solution.configuration, material, clamps)
-    np.testing.assert_allclose(here.energy, solution.energy, rtol=1e-9)
-
-
-def test_clamps_on_the_way():
-    """Positions on a line, frames about one axis in equal shares; the near clamp stays."""
-    clamps = clamps_at(bows(0.6, 0.9, 1.2))
-    path = list(Motion(clamps, end_shift=np.tile([3.0, 6.0, 9.0], (3, 1)), end_turn=turned(clamps, 90.0)).states(3))
-    assert len(path) == 3
-    for k, step in enumerate(path, 1):
-        np.testing.assert_allclose(step.end_position, clamps.end_position + np.array([1.0, 2.0, 3.0]) * k, atol=1e-12)
-        np.testing.assert_allclose(step.end_frame, spun(clamps.end_frame, np.radians(30.0 * k)), atol=1e-12)
-        np.testing.assert_array_equal(step.start_frame, clamps.start_frame)
-        np.testing.assert_array_equal(step.start_position, clamps.start_position)

@@ -7,7 +7,7 @@ from scipy.spatial.transform import Rotation
 
 from doo_ti import Clamp, Clamps, Configuration
 from tests.oracle.algebra import body_rotated, directors, transport
-from tests.oracle.chain_form import Rod, chain_energy, closure_gradient
+from tests.oracle.chain_form import Rod, chain_energy
 
 
 @dataclass(frozen=True)
@@ -69,18 +69,6 @@ def moved(state: State, free: np.ndarray, step: np.ndarray, turned=body_rotated)
     full[free] = step
     rotated = turned(list(state.quaternions.T), list(full[3:].reshape(-1, 3).T))
     return State(state.start + full[:3], np.array(rotated).T)
-
-
-def closed(rod: Rod, ends: Ends, state: State, free: np.ndarray) -> State:
-    """The state brought onto the closure by minimum-norm rotations of at most 0.1 rad each."""
-    for _ in range(60 * (ends.end_position is not None)):
-        miss = vertices_of(rod, state)[-1] - ends.end_position
-        if np.linalg.norm(miss) <= 2e-15 * rod.rest_length.sum():
-            break
-        jacobian = np.hstack([np.eye(3), closure_gradient(rod, state.quaternions)])[:, free]
-        step = -np.linalg.lstsq(jacobian, miss, rcond=1e-9)[0]
-        state = moved(state, free, step * min(1.0, 0.1 / max(np.abs(step[free >= 3]).max(initial=0.0), 1e-300)))
-    return state
 
 
 def energy_of(rod: Rod, state: State) -> tuple[float, float]:

@@ -1,4 +1,4 @@
-"""A rod under E_Θ and springs that pull at its vertices, dense: energy, derivatives, one Newton step, the minimum.
+"""A rod under E_Θ and springs that pull at its vertices, dense: energy, derivatives, one Newton step, what is left of forces.
 
     E = E_Θ + Σ_i ½ (x_i − target_i)·K_i (x_i − target_i)
 
@@ -7,25 +7,23 @@ Unknowns are (dx_0, w_0, …, w_{E−1}): the translation of the first vertex in
 x_i = x_0 + Σ_{j<i} l_j t_j. What the clamps hold is left out of them, and a held far end adds Σ l_j t_j = d.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.linalg import null_space
 
+from doo_ti import Clamps, Configuration, Material
 from tests.oracle.chain_form import Rod, chain_derivatives, chain_energy, closure_gradient, linear_derivatives, rod_of
-from tests.oracle.equilibrium import Ends, State, clamped_start, closed, energy_of, free_variables, moved, vertices_of
-
-NEUTRAL = 1e-11  # eigenvalues below this share of the largest are rounding: a motion at constant energy
-LEAP, LONGEST_STEP = 0.05, 0.2  # rad: the first try off a saddle, and the largest component of one step's rotations
-TOLERANCE = 1e-10  # 1/mm, on the residual
+from tests.oracle.equilibrium import Ends, State, clamped_start, free_variables, moved, vertices_of
 
 
 @dataclass(frozen=True)
 class Springs:
-    """One on each of V vertices: ``stiffness`` (V, 3, 3) K_i, symmetric, weight/mm; ``target`` (V, 3), mm."""
+    """One on each of V vertices: ``stiffness`` (V, 3, 3) K_i, symmetric, weight/mm; ``target`` (V, 3), mm; a dead ``force``."""
 
     stiffness: np.ndarray
     target: np.ndarray
+    force: np.ndarray | float = 0.0
 
     @classmethod
     def at_vertices(cls, stiffness, target) -> "Springs":
@@ -33,62 +31,33 @@ class Springs:
         return cls(stiffness[:, None, None] * np.eye(3) if stiffness.ndim == 1 else stiffness, target)
 
     @classmethod
-    def none(cls, rod: Rod) -> "Springs":
-        """None on any vertex."""
-        return cls.at_vertices(np.zeros(rod.edges + 1), np.zeros((rod.edges + 1, 3)))
+    def none(cls, rod: Rod, force: np.ndarray | float = 0.0) -> "Springs":
+        """None on any vertex, beside forces."""
+        return cls(np.zeros((rod.edges + 1, 3, 3)), np.zeros((rod.edges + 1, 3)), force)
 
     def energy(self, vertices: np.ndarray) -> float:
-        """Σ ½ r·K r."""
-        return 0.5 * ((vertices - self.target) * self.vertex_gradient(vertices)).sum()
+        """Σ ½ r·K r − f·x."""
+        off = vertices - self.target
+        return 0.5 * np.einsum("ia,iab,ib", off, self.stiffness, off) - (self.force * vertices).sum()
 
     def vertex_gradient(self, vertices: np.ndarray) -> np.ndarray:
         """(V, 3) γ_i = ∂/∂x_i."""
-        return np.einsum("iab,ib->ia", self.stiffness, vertices - self.target)
-
-    @property
-    def vertex_curvature(self) -> np.ndarray:
-        """(V, 3, 3) ∂²/∂x_i²."""
-        return self.stiffness
+        return np.einsum("iab,ib->ia", self.stiffness, vertices - self.target) - self.force
 
 
 @dataclass(frozen=True)
-class Loads:
-    """Dead forces (V, 3) beside springs."""
-
-    springs: Springs
-    force: np.ndarray
-
-    def energy(self, vertices):
-        return self.springs.energy(vertices) - (self.force * vertices).sum()
-
-    def vertex_gradient(self, vertices):
-        return self.springs.vertex_gradient(vertices) - self.force
-
-    @property
-    def vertex_curvature(self):
-        return self.springs.vertex_curvature
-
-
-@dataclass(frozen=True)
-class Minimum:
-    """Where the descent ended.
+class Found:
+    """What there is of a rod where the package has left it.
 
     energy with springs; residual the largest moment left on a free degree of freedom over B's largest eigenvalue, 1/mm;
     closure relative to the length; force (3,) λ; eigenvalues of H on what closure leaves free, ascending.
     """
 
-    state: State
-    vertices: np.ndarray
     energy: float
     residual: float
     closure: float
     force: np.ndarray
     eigenvalues: np.ndarray
-    converged: bool
-
-    @property
-    def smallest_eigenvalue(self) -> float:
-        return float(self.eigenvalues[0])
 
 
 def total_energy(rod: Rod, springs: Springs, state: State):
@@ -106,12 +75,12 @@ def vertex_jacobian(rod: Rod, quaternions: np.ndarray) -> np.ndarray:
     return jacobian
 
 
-def total_derivatives(rod: Rod, springs: Springs | Loads, state: State) -> tuple[np.ndarray, np.ndarray]:
+def total_derivatives(rod: Rod, springs: Springs, state: State) -> tuple[np.ndarray, np.ndarray]:
     """(3 + 3E,) gradient and (3 + 3E, 3 + 3E) Hessian of :func:`total_energy` in all of (dx_0, w_0, …, w_{E−1})."""
     vertices, jacobian = vertices_of(rod, state), vertex_jacobian(rod, state.quaternions)
     pull = springs.vertex_gradient(vertices)
     gradient = np.einsum("ia,iak->k", pull, jacobian)
-    hessian = np.einsum("iak,iab,ibl->kl", jacobian, springs.vertex_curvature, jacobian, optimize=True)
+    hessian = np.einsum("iak,iab,ibl->kl", jacobian, springs.stiffness, jacobian, optimize=True)
     # The rotation of an edge moves the rod beyond it along an arc: p_j = Σ_{i>j} γ_i, a linear potential on edge j.
     behind = np.cumsum(pull[::-1], axis=0)[::-1][1:]
     hessian[3:, 3:] += linear_derivatives(rod, state.quaternions, behind)[1]
@@ -164,71 +133,15 @@ def newton_step(rod: Rod, springs: Springs, state: State, ends: Ends, free: np.n
     return moved(state, free, step, rod.turned) if lowest > 0 else None
 
 
-def minimum(rod: Rod, springs: Springs | Loads | None, state: State, ends: Ends, max_iterations=500) -> Minimum:
-    """Descend from ``state`` to a minimum, never uphill: Newton's step with the size of every eigenvalue, so that negative
-    ones lead downhill too; halved until the energy does not rise; along the softest mode off a saddle. Springs may be None."""
-    springs = Springs.none(rod) if springs is None else springs
-    free = free_variables(rod, ends)
-    scale = np.linalg.eigvalsh(rod.bend).max()
-    state, converged = closed(rod, ends, state, free), False
-    for iteration in range(max_iterations + 1):
-        at = _local(rod, springs, state, ends, free)
-        eigenvalues, modes = np.linalg.eigh(at.basis.T @ at.hessian @ at.basis)
-        floor = NEUTRAL * np.abs(eigenvalues).max()
-        at_rest = bool(np.abs(at.residual).max() <= TOLERANCE * scale)
-        converged = at_rest and bool(eigenvalues[0] >= -floor)
-        if converged or iteration == max_iterations:
-            break
-        if at_rest:
-            softest = at.basis @ modes[:, 0]
-            leap = LEAP * softest / np.abs(softest).max()
-            following = _lower(rod, springs, ends, state, free, (leap, -leap))
-        else:
-            rate = (at.basis @ modes).T @ at.residual
-            weight = np.where(np.abs(eigenvalues) > floor, 1.0 / np.maximum(np.abs(eigenvalues), floor), 0.0)
-            step = -at.basis @ (modes @ (weight * rate))
-            following = _lower(rod, springs, ends, state, free, (step,))
-        if following is None:
-            break
-        state = following
-    return Minimum(
-        state=state, vertices=vertices_of(rod, state), energy=float(total_energy(rod, springs, state)),
-        residual=float(np.abs(at.residual).max() / scale), closure=float(np.linalg.norm(at.miss) / rod.rest_length.sum()),
-        force=at.force if len(at.force) else np.zeros(3), eigenvalues=eigenvalues, converged=converged)
-
-
-def _lower(rod, springs, ends, state, free, directions) -> State | None:
-    """The lowest state along any of the directions, each halved until the energy does not rise; None if there is none."""
-    energy, size = _energy(rod, springs, state)
-    found = []
-    for direction in directions:
-        factor = min(1.0, LONGEST_STEP / max(np.abs(direction[free >= 3]).max(initial=0.0), 1e-300))
-        for _ in range(40):
-            trial = closed(rod, ends, moved(state, free, factor * direction), free)
-            reached = _energy(rod, springs, trial)[0]
-            if reached <= energy + 1e-13 * size:
-                found.append((reached, trial))
-                break
-            factor /= 2.0
-    return min(found, key=lambda pair: pair[0])[1] if found else None
-
-
-def _energy(rod: Rod, springs: Springs, state: State) -> tuple[float, float]:
-    """The total, and the sum of its terms' sizes, the scale of its rounding."""
-    energy, size = energy_of(rod, state)
-    pulled = float(springs.energy(vertices_of(rod, state)))
-    return energy + pulled, size + pulled
-
-
-def relaxed(configuration, material, clamps, index=0, up=(0.0, 0.0, 1.0)) -> Minimum:
-    """:func:`minimum` of one row of the package's tables; no clamp kind or length is checked."""
-    rod = rod_of(configuration, material, index, up)
-    return minimum(rod, None, *clamped_start(configuration, clamps, index))
-
-
-def where_found(solution, material, clamps, row, up=(0.0, 0.0, 1.0), springs: Springs | Loads | None = None) -> Minimum:
-    """:func:`minimum` at the rod that the package has found, without moving it."""
-    rods = solution.configuration
+def where_found(rods: Configuration, material: Material, clamps: Clamps, row: int, up=(0.0, 0.0, 1.0),
+                springs: Springs | None = None, force: np.ndarray | float = 0.0) -> Found:
+    """A row of the package's tables as it is, under springs and dead forces (V, 3)."""
+    rod, ends = rod_of(rods, material, row, up), clamped_start(rods, clamps, row)[1]
+    springs = replace(Springs.none(rod) if springs is None else springs, force=force)
     state = State(rods.start[row], rods.quaternions[row].astype(np.float64))
-    ends = clamped_start(rods, clamps, row)[1]
-    return minimum(rod_of(rods, material, row, up), springs, state, ends, max_iterations=0)
+    at = _local(rod, springs, state, ends, free_variables(rod, ends))
+    return Found(
+        energy=float(total_energy(rod, springs, state)), force=at.force if len(at.force) else np.zeros(3),
+        residual=float(np.abs(at.residual).max() / np.linalg.eigvalsh(rod.bend).max()),
+        closure=float(np.linalg.norm(at.miss) / rod.rest_length.sum()),
+        eigenvalues=np.linalg.eigvalsh(at.basis.T @ at.hessian @ at.basis))

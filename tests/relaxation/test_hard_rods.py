@@ -13,145 +13,101 @@ import pytest
 from doo_ti import Clamp, Clamps, Configuration, Material, Solution, Status, relax
 from doo_ti.lab.workload import BEND_RANGE, TWIST_RATIO_RANGE, log_uniform
 from doo_ti.relaxation.newton import TOLERANCES
-from doo_ti.rod.frames import bishop_frames, quaternion_about, quaternion_from_matrix, quaternion_product, unit_vectors
+from doo_ti.rod.frames import unit_vectors
 from tests.conftest import SEED
-from tests.references.rods import clamps_at
-from tests.relaxation.rods import vertex_distance
+from tests.references.rods import chain, clamps_at, jiggled, stacked
+from tests.relaxation.rods import wandering
 
 Rods = tuple[Configuration, Material, Clamps]
 """R rods, one row of each table for each; clamps may differ from the ends of the start."""
 LENGTH, EDGES = 99.0, 33  # mm
-EVEN = np.full(EDGES, LENGTH / EDGES)
-WANDER, TWIST, NOISE = 0.15, 0.1, 0.08
-"""rad: changes of direction and spin from joint to joint on 33 edges, and errors of the frames of a start."""
+EVEN, SHARES = np.full(EDGES, LENGTH / EDGES), np.linspace(0.0, 1.0, EDGES)
 
 
-def chain(random, tangents: np.ndarray, spin: np.ndarray, rest_length=EVEN) -> Configuration:
-    """Rods along unit tangents (R, E, 3): Bishop frames from any m1, each turned about its tangent by ``spin`` (R, E), rad."""
-    untwisted = quaternion_from_matrix(bishop_frames(tangents, across(random, tangents[:, 0])))
-    frames = quaternion_product(quaternion_about(tangents, spin), untwisted)
-    return Configuration(np.zeros((len(tangents), 3)), frames, rest_length)
+def along(rng, tangents: np.ndarray) -> Configuration:
+    """Rods along tangents (R, E, 3), twisted evenly by up to half a turn."""
+    return stacked([chain(one, across(rng, one[0]), EVEN, spin=rng.uniform(-np.pi, np.pi) * SHARES) for one in tangents])
 
 
-def directions(random, count: int) -> np.ndarray:
-    """(R, 3) unit vectors, uniformly distributed."""
-    return unit_vectors(random.normal(size=(count, 3)))
+def across(rng, tangents: np.ndarray) -> np.ndarray:
+    """Unit vectors perpendicular to ``tangents`` (..., 3), to any side."""
+    return unit_vectors(np.cross(tangents, rng.normal(size=tangents.shape)))
 
 
-def across(random, along: np.ndarray) -> np.ndarray:
-    """(R, 3) unit vectors perpendicular to ``along`` (R, 3), to any side."""
-    return unit_vectors(np.cross(along, directions(random, len(along))))
-
-
-def in_plane(random, angle: np.ndarray) -> np.ndarray:
-    """(R, E, 3) tangents at ``angle`` (R, E) to some direction, in some plane through it."""
-    along = directions(random, len(angle))
-    aside = across(random, along)
-    return np.cos(angle)[..., None] * along[:, None] + np.sin(angle)[..., None] * aside[:, None]
-
-
-def even_twist(random, count: int, turns: int = 0) -> np.ndarray:
-    """(R, E) spin in rad that grows evenly to ``turns`` whole turns at the far clamp, and up to half a turn more or less."""
-    total = 2 * np.pi * turns + random.uniform(-np.pi, np.pi, count)
-    return total[:, None] * np.linspace(0.0, 1.0, EDGES)
-
-
-def isotropic(random, count: int, bend=BEND_RANGE, weight: float = 1.0) -> Material:
+def isotropic(rng, count: int, weight: float = 1.0) -> Material:
     """B = αI and β over the ranges of a suture."""
-    alpha = log_uniform(random, bend, count)
-    return Material(alpha, alpha * log_uniform(random, TWIST_RATIO_RANGE, count), weight)
+    alpha = log_uniform(rng, BEND_RANGE, count)
+    return Material(alpha, alpha * log_uniform(rng, TWIST_RATIO_RANGE, count), weight)
 
 
-def held(random, count: int, material: Material | None = None, rest_length=EVEN, start=Clamp.FRAME, end=Clamp.FRAME) -> Rods:
+def held(rng, count: int, material: Material | None = None, rest_length=EVEN, start=Clamp.FRAME, end=Clamp.FRAME) -> Rods:
     """Rods whose direction and spin wander along their length, however many edges, clamped at their ends; every frame of their
     starts has an error, as frames of measured marks have."""
-    material = isotropic(random, count) if material is None else material
     edges = rest_length.shape[-1]
     finer = np.sqrt(EDGES / edges)
-    steps = WANDER * finer * random.normal(size=(count, edges, 3))
-    tangents = unit_vectors(directions(random, count)[:, None] + np.cumsum(steps, axis=1))
-    rods = chain(random, tangents, TWIST * finer * np.cumsum(random.normal(size=(count, edges)), axis=1), rest_length)
-    angle = np.abs(random.normal(scale=NOISE, size=(count, edges)))
-    noise = quaternion_about(directions(random, angle.size).reshape(*angle.shape, 3), angle)
-    return replace(rods, quaternions=quaternion_product(rods.quaternions, noise)), material, clamps_at(rods, start, end)
+    rods = replace(wandering(rng, count, edges, 1.0, 0.15 * finer, 0.1 * finer), rest_length=rest_length)
+    return jiggled(rods, rng, 0.05), isotropic(rng, count) if material is None else material, clamps_at(rods, start, end)
 
 
-def nearly_taut(random, count: int) -> Rods:
+def nearly_taut(rng, count: int) -> Rods:
     """Straight, 0.05 mm of slack in 99 mm, in any direction of space, the far clamp turned."""
-    along = directions(random, count)
-    rods = chain(random, np.repeat(along[:, None], EDGES, axis=1), even_twist(random, count))
-    return rods, isotropic(random, count), replace(clamps_at(rods), end_position=98.95 * along)
+    ahead = unit_vectors(rng.normal(size=(count, 3)))
+    rods = along(rng, np.repeat(ahead[:, None], EDGES, axis=1))
+    return rods, isotropic(rng, count), replace(clamps_at(rods), end_position=98.95 * ahead)
 
 
-def collinear(random, count: int, weight: float) -> Rods:
+def collinear(rng, count: int, weight: float) -> Rods:
     """Both clamps on one line and in its direction: an even bow to any side. It can rotate about that line, without weight at
     constant energy."""
-    size = random.uniform(0.3, 1.8, count)[:, None] * np.sin(2 * np.pi * np.linspace(0.0, 1.0, EDGES))
-    rods = chain(random, in_plane(random, size), even_twist(random, count))
-    return rods, isotropic(random, count, weight=weight), clamps_at(rods)
+    angle = rng.uniform(0.3, 1.8, (count, 1, 1)) * np.sin(2 * np.pi * SHARES)[:, None]
+    ahead = unit_vectors(rng.normal(size=(count, 1, 3)))
+    rods = along(rng, np.cos(angle) * ahead + np.sin(angle) * across(rng, ahead))
+    return rods, isotropic(rng, count, weight), clamps_at(rods)
 
 
-def ten_turns(random, count: int) -> Rods:
-    """Ten whole turns and a part of one between the clamps, almost two radians a joint, on arcs of up to half a turn whose
-    ends are then brought together by up to a half."""
-    angle = random.uniform(0.0, np.pi, count)[:, None] * np.linspace(-0.5, 0.5, EDGES)
-    rods = chain(random, in_plane(random, angle), even_twist(random, count, turns=10))
-    clamps = clamps_at(rods)
-    nearer = random.uniform(0.5, 0.95, count)[:, None] * clamps.end_position
-    return rods, isotropic(random, count), replace(clamps, end_position=nearer)
-
-
-def sharp_joints(random, count: int) -> Rods:
+def sharp_joints(rng, count: int) -> Rods:
     """Every joint of the start bent by 1.5 rad, in random directions; clamped at its ends."""
-    tangents = np.empty((count, EDGES, 3))
-    tangents[:, 0] = directions(random, count)
-    for j in range(1, EDGES):
-        tangents[:, j] = np.cos(1.5) * tangents[:, j - 1] + np.sin(1.5) * across(random, tangents[:, j - 1])
-    rods = chain(random, tangents, even_twist(random, count))
-    return rods, isotropic(random, count), clamps_at(rods)
+    tangents = [unit_vectors(rng.normal(size=(count, 3)))]
+    for _ in range(EDGES - 1):
+        tangents.append(np.cos(1.5) * tangents[-1] + np.sin(1.5) * across(rng, tangents[-1]))
+    rods = along(rng, np.stack(tangents, axis=1))
+    return rods, isotropic(rng, count), clamps_at(rods)
 
 
-def anisotropic(random, count: int) -> Rods:
+def anisotropic(rng, count: int) -> Rods:
     """B = diag(B1, B2), one a hundred times the other, either first."""
-    soft, first = log_uniform(random, (5e4, 1e6), count), random.random(count) < 0.5
-    twist = soft * log_uniform(random, (0.1, 60.0), count)
-    return held(random, count, Material.diagonal(np.where(first, 100, 1) * soft, np.where(first, 1, 100) * soft, twist))
+    soft, first = log_uniform(rng, (5e4, 1e6), count), rng.random(count) < 0.5
+    twist = soft * log_uniform(rng, (0.1, 60.0), count)
+    return held(rng, count, Material.diagonal(np.where(first, 100, 1) * soft, np.where(first, 1, 100) * soft, twist))
 
 
-def uneven(random, count: int) -> Rods:
+def uneven(rng, count: int) -> Rods:
     """Rest lengths in a ratio of 1:50, in any order, another for each rod."""
-    lengths = random.permuted(np.tile(np.geomspace(1.0, 50.0, EDGES), (count, 1)), axis=1)
-    return held(random, count, rest_length=LENGTH * lengths / lengths.sum(axis=1, keepdims=True))
+    lengths = rng.permuted(np.tile(np.geomspace(1.0, 50.0, EDGES), (count, 1)), axis=1)
+    return held(rng, count, rest_length=LENGTH * lengths / lengths.sum(axis=1, keepdims=True))
 
 
-def curved_at_rest(random, count: int) -> Rods:
+def curved_at_rest(rng, count: int) -> Rods:
     """Coils of 8 mm radius and more at rest, and from joint to joint a little different; half of the sections round."""
-    alpha, ratio = log_uniform(random, BEND_RANGE, count), log_uniform(random, TWIST_RATIO_RANGE, count)
-    second = np.where(random.random(count) < 0.5, 1.0, log_uniform(random, (0.2, 5.0), count))
+    alpha, ratio = log_uniform(rng, BEND_RANGE, count), log_uniform(rng, TWIST_RATIO_RANGE, count)
+    second = np.where(rng.random(count) < 0.5, 1.0, log_uniform(rng, (0.2, 5.0), count))
     bend = alpha[:, None, None] * np.eye(2)
     bend[:, 1, 1] *= second
-    axis = directions(random, count)[:, None, :2]
-    rest = 0.125 * random.uniform(0.0, 1.0, (count, 1, 1)) * axis + 0.01 * random.normal(size=(count, EDGES - 1, 2))
-    return held(random, count, Material(bend, alpha * ratio, 1.0, rest))
-
-
-def of_bend(random, count: int, bend: float) -> Rods:
-    return held(random, count, isotropic(random, count, (bend, bend)))
+    axis = unit_vectors(rng.normal(size=(count, 1, 3)))[..., :2]
+    rest = 0.125 * rng.uniform(0.0, 1.0, (count, 1, 1)) * axis + 0.01 * rng.normal(size=(count, EDGES - 1, 2))
+    return held(rng, count, Material(bend, alpha * ratio, 1.0, rest))
 
 
 ROWS = {
     "ends 98.95 of 99 mm apart": nearly_taut,
     "collinear clamps": partial(collinear, weight=1.0),
     "collinear clamps, no weight": partial(collinear, weight=0.0),
-    "10 whole turns": ten_turns,
     "joints of 1.5 rad": sharp_joints,
     "99 edges": partial(held, rest_length=np.full(99, 1.0)),
     "512 edges": partial(held, rest_length=np.full(512, LENGTH / 512)),
     "anisotropy 100:1": anisotropic,
     "rest lengths 1:50": uneven,
     "rest curvature": curved_at_rest,
-    "soft, bend 1e3": partial(of_bend, bend=1e3),
-    "stiff, bend 1e9": partial(of_bend, bend=1e9),
     "free end": partial(held, end=Clamp.FREE),
     "positions only": partial(held, start=Clamp.POSITION, end=Clamp.POSITION)}
 
@@ -168,8 +124,7 @@ def edge_error(configuration: Configuration) -> np.ndarray:
 
 
 COUNT = 8
-SAME = 0.02  # mm, mean vertex distance of two rods in the same minimum
-LEAST = 5  # rods of a row that converge in f64 and in mixed, or else there is nothing to compare
+LEAST = 5  # rods of a row that converge in f64 and in mixed
 NAMELESS = (Status.NOT_FINITE, Status.INFEASIBLE)
 
 every_row = pytest.mark.parametrize("row", ROWS)
@@ -194,6 +149,7 @@ def test_every_status_is_right(row, precision):
     assert not solution.stable[~solution.converged].any()
     assert (solution.status != Status.INFEASIBLE).all()
     done = solution.converged
+    assert done.sum() >= LEAST * (precision != "f32")
     coarse = solution.precision[done] == 32
     assert (solution.residual[done] <= np.where(coarse, TOLERANCES[32], TOLERANCES[64])).all()
     # mm: the edges to rounding, the far end within what closure is asked for; in f32 the edges' rounding adds up along the rod.
@@ -206,21 +162,6 @@ def test_every_status_is_right(row, precision):
     for kind, edge, held in ((clamps.start, 0, clamps.start_frame), (clamps.end, -1, clamps.end_frame)):
         if kind == Clamp.FRAME:
             np.testing.assert_allclose(frames[:, edge], held[done], atol=1e-6 if coarse.any() else 1e-14)
-
-
-@every_row
-def test_mixed_and_f64_have_one_energy_where_they_are_in_one_minimum(row):
-    exact, mixed, material = relaxed(row, "f64"), relaxed(row, "mixed"), rods_of(row, COUNT)[1]
-    both = exact.converged & mixed.converged
-    assert both.sum() >= LEAST
-    apart = vertex_distance(exact.configuration, mixed.configuration)
-    same = both & (apart <= SAME)
-    scale = np.abs(exact.energy) + np.linalg.eigvalsh(material.bend[:, 0])[:, -1] / 99.0
-    difference = np.abs(exact.energy - mixed.energy) / scale
-    assert (difference[same] <= 1e-8).all()
-    # A rod without weight swings about its line at no cost: other places, the same energy.
-    alike = difference <= 1e-8 if row.endswith("no weight") else same
-    assert (alike & both).sum() >= LEAST - 2
 
 
 @pytest.mark.slow

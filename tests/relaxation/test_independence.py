@@ -13,26 +13,18 @@ import pytest
 from doo_ti import Clamp, Clamps, Configuration, Descent, Itself, Material, Newton, Plane, Solution, Sphere, Springs, relax
 from doo_ti.physics.number import Number
 from doo_ti.relaxation import batch
-from doo_ti.rod.frames import across, bishop_frames, quaternion_from_matrix
 from doo_ti.system import runtime
 from tests.references.rods import clamps_at
-from tests.relaxation.rods import RESULTS, assert_same, wandering
+from tests.relaxation.rods import PAIRS, RESULTS, assert_same, wandering, with_kinds
 
 EDGES, EDGE = 16, 6.0
 
 
 def rods(rng: np.random.Generator, count: int, kinds: int = 4) -> tuple[Configuration, Material, Clamps]:
     """Random rods with every pair of clamps that holds one; of round, ribbon, taper, curved at rest the first."""
-    turns = np.cumsum(rng.normal(0, 0.12, (count, EDGES, 3)), axis=1)
-    tangents = turns + [1.0, 0, 0] + 0.5 * rng.normal(size=(count, 1, 3))
-    tangents /= np.linalg.norm(tangents, axis=-1, keepdims=True)
-    frames = bishop_frames(tangents, across(tangents[:, 0]))
-    start = Configuration(rng.uniform(-5, 5, (count, 3)), quaternion_from_matrix(frames), np.full(EDGES, EDGE))
-    held = rng.integers(0, 4, (count, 2))
-    held[(held == 0).all(axis=1), 0] = Clamp.FRAME
-    vertices = start.vertices
-    ends = vertices[:, -1] + rng.normal(0, 3.0, (count, 3))
-    clamps = Clamps(held[:, 0], held[:, 1], vertices[:, 0], ends, frames[:, 0], frames[:, -1])
+    start = wandering(rng, count, EDGES, EDGE, wander=0.12)
+    clamps = with_kinds(clamps_at(start), [PAIRS[k] for k in rng.integers(0, len(PAIRS), count)])
+    clamps.end_position[:] += rng.normal(0, 3.0, (count, 3))
     alpha, kind = 10.0 ** rng.uniform(4.5, 6, count), rng.integers(0, kinds, count)
     if kinds == 1:
         return start, Material(alpha, 0.7 * alpha, 1.0), clamps

@@ -1,4 +1,5 @@
-"""dΓ*/dΘ against dense linear algebra and against rods relaxed again; which rods have none, here and in a pullback."""
+"""Derivatives of rods at rest against dense linear algebra (differences: test_end_loads); which rods have none, here and in a
+pullback."""
 
 import numpy as np
 import pytest
@@ -11,7 +12,7 @@ from tests.oracle.chain_form import rod_of
 from tests.oracle.equilibrium import clamped_start, free_variables
 from tests.oracle.sensitivity import dense_sensitivity
 from tests.references.rods import chain, clamps_at
-from tests.relaxation.rods import LOADS, PAIRS, definite, one_of_three_at_rest, relaxed_again, wandering, with_kinds
+from tests.relaxation.rods import PAIRS, definite, one_of_three_at_rest, wandering, with_kinds
 
 SHARP = Newton(tolerance=1e-10)
 EVERY = ("bend", "bend_1", "bend_2", "bend_12", "twist", "weight", "rest_curvature", "rest_curvature_per_joint", "gravity")
@@ -62,29 +63,6 @@ def relative_errors(own, dense) -> np.ndarray:
     size = np.abs(dense).max(axis=(0, 1))
     typical = np.concatenate([[2e5] * 4, [1.5e5, 1.0], [0.01] * 24, [1.0] * 3])
     return np.abs(own - dense).max(axis=(0, 1)) / np.maximum(size, 1e-3 * (size * typical).max() / typical)
-
-
-def test_rods_relaxed_again_move_so(rng):
-    """Central differences of equilibria at residual 1e-12: vertices, directors, and forces and moments at both ends."""
-    rods = wandering(rng, 6, 12)
-    kinds = [(Clamp.FRAME, Clamp.FRAME), (Clamp.TANGENT, Clamp.FRAME), (Clamp.FREE, Clamp.FRAME)] * 2
-    clamps, up = with_kinds(clamps_at(rods), kinds), UP / np.linalg.norm(UP)
-    material = Material(np.array([[2e5, 3e4], [3e4, 1e5]]), 1.5e5, 1.0, np.array([2e-3, -1e-3]))
-    solution = relax(rods, material, clamps, SHARP, up=up)
-    found = sensitivity(solution, ("bend_1", "bend_12", "twist", "weight", "rest_curvature", "up", "length"))
-    assert found.usable.all()
-    steps = {"bend_1": 20.0, "bend_12": 20.0, "twist": 15.0, "weight": 1e-4, "rest_curvature[0]": 1e-6,
-             "rest_curvature[1]": 1e-6, "up[0]": 1e-4, "up[1]": 1e-4, "length": 1e-6}
-    assert found.columns == tuple(steps)
-    for column, (name, step) in enumerate(steps.items()):
-        near = [relaxed_again(solution, material, clamps, SHARP, name, sign * step, up=up) for sign in (1, -1)]
-        shapes, loads = [one.configuration for one in near], [end_loads(one) for one in near]
-        pairs = [(found.vertices, [shape.vertices for shape in shapes], 1e-6),
-                 (found.directors, [shape.frames[..., 1] for shape in shapes], 1e-6)]
-        pairs += [(getattr(found.loads, load), [getattr(one, load) for one in loads], 2e-5) for load in LOADS]
-        for derivative, (plus, minus), bound in pairs:
-            own = derivative[..., column]
-            np.testing.assert_allclose(own, (plus - minus) / (2 * step), atol=bound * np.abs(own).max(), err_msg=name)
 
 
 def test_a_taut_rod_only_spins():

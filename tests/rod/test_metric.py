@@ -32,17 +32,6 @@ def beside(rods: Configuration, observations: Observations, index, weight: float
     return np.array(found)
 
 
-def test_by_hand():
-    """Two edges: three vertices off by 3, 0 and 4 mm make (3 + 0 + 4)/2; frames a half turn apart add w_m (2 + 2)/1."""
-    vertices = np.array([[[0.0, 0, 0], [3, 0, 0], [6, 0, 0]]])
-    frames = np.tile(np.eye(3), (1, 2, 1, 1))
-    rod = Configuration(np.array([[0.0, 0, 0]]), np.tile([0.0, 1.0, 0.0, 0.0], (1, 2, 1)), np.array([3.0, 3.0]))
-    labels = vertices + [[[0, 3, 0], [0, 0, 0], [0, 0, -4]]]
-    observations = Observations(labels, frames=frames, rest_length=np.array([3.0, 3.0]))
-    assert distance(rod, observations)[0] == 3.5
-    assert distance(rod, observations, frame_weight=0.5)[0] == 3.5 + 0.5 * 4
-
-
 def test_missing_marks_are_left_out(rng):
     """The sum runs over the valid marks, divided by their number less one; what a missing one holds does not count."""
     valid = rng.random((COUNT, EDGES + 1)) < 0.6

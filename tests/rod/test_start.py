@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from doo_ti import Clamp, Observations, load_observations, observation_clamps, start_configuration
-from doo_ti.rod.frames import matrix_from_quaternion
+from doo_ti import Clamp, Observations, observation_clamps, start_configuration
 from doo_ti.rod.start import check_feasible, choose_hypothesis, fill_missing, span_excess, turn_hypotheses
 from tests.conftest import check_refused
 from tests.io.rods import joint_twist, twisted_frames, wavy_vertices
@@ -15,8 +14,9 @@ def twisted(rng, turns: float = 2.0, hint: bool = True, **extra) -> tuple[Observ
     vertices = wavy_vertices(rng, count=6, marks=12)
     twist = rng.uniform(-turns, turns, 6) * 2 * np.pi
     frames = twisted_frames(vertices, twist, rng)
+    off = 0.97 * np.pi * rng.uniform(-1, 1, 6)  # what a hint may be wrong by
     return Observations(vertices, start_frame=frames[:, 0], end_frame=frames[:, -1],
-                        total_twist=twist if hint else None, **extra), twist
+                        total_twist=twist + off if hint else None, **extra), twist
 
 
 def test_start_repeats_exact_vertices_frames_and_twist(rng):
@@ -31,15 +31,6 @@ def test_start_repeats_exact_vertices_frames_and_twist(rng):
         np.testing.assert_allclose(joints.sum(axis=1), twist, atol=1e-11)
         spread = observations.rest_length[:-1] + observations.rest_length[1:]
         np.testing.assert_allclose(joints, twist[:, None] * spread / spread.sum(), atol=1e-11)
-
-
-def test_a_hint_wrong_by_less_than_half_a_turn_does_no_harm(rng):
-    observations, twist = twisted(rng)
-    off = np.sign(rng.normal(size=6)) * 0.97 * np.pi
-    hinted = Observations(observations.vertices, start_frame=observations.start_frame, end_frame=observations.end_frame,
-                          total_twist=twist + off)
-    start = start_configuration(hinted, observation_clamps(hinted))
-    np.testing.assert_allclose(joint_twist(start.quaternions).sum(axis=1), twist, atol=1e-11)
 
 
 def test_without_a_hint_three_turns_are_hypotheses(rng):
@@ -195,35 +186,3 @@ def test_a_rod_twisted_by_a_turn_more_must_be_twice_as_near():
     index, twist = np.repeat([0, 1], 3), np.tile([-2 * np.pi, 0, 2 * np.pi], 2)
     score = np.array([0.99, 1.0, 1.1, 1.0, 1.0, 0.49])
     np.testing.assert_array_equal(choose_hypothesis(index, score, np.ones(6, dtype=bool), twist), [1, 5])
-
-
-@pytest.mark.parametrize("name", ["nylon", "vicryl", "silk", "ribbon"])
-def test_lab_starts_hold_the_twist_of_the_hint(laboratory, name):
-    observations = load_observations(laboratory / "lab_a" / f"{name}.npz")
-    clamps = observation_clamps(observations)
-    check_feasible(observations, clamps)
-    index, turns = turn_hypotheses(observations, clamps)
-    assert len(index) == 60 and (clamps.start, clamps.end) == (Clamp.FRAME, Clamp.FRAME)
-    start = start_configuration(observations, clamps, turns)
-    total = joint_twist(start.quaternions).sum(axis=1)
-    truth = np.radians(np.load(laboratory / "lab_a" / f"{name}_truth.npz")["total_twist_deg"])
-    # Half a turn would do; 0.12 mm of noise on 3 mm edges turns the transported frame by far less.
-    assert np.abs(total - observations.total_twist).max() < np.radians(20)
-    assert np.abs(total - truth).max() < np.radians(20)
-    off = 4.0 if name == "ribbon" else 1.0  # a ribbon starts from its labelled frames, whose noise adds up along it
-    assert np.linalg.norm(start.vertices - observations.vertices, axis=-1).max() < off
-    np.testing.assert_allclose(start.frames[:, [0, -1]],
-                               np.stack([observations.start_frame, observations.end_frame], axis=1), atol=1e-12)
-
-
-@pytest.mark.parametrize("name", ["dlo1", "dlo3"])
-def test_cables_start_twist_free_between_tangents(shared_data, name):
-    observations = load_observations(shared_data / "cables" / f"{name}.npz")
-    clamps = observation_clamps(observations)
-    check_feasible(observations, clamps)
-    assert (clamps.start, clamps.end) == (Clamp.TANGENT, Clamp.TANGENT)
-    start = start_configuration(observations, clamps)
-    np.testing.assert_allclose(joint_twist(start.quaternions), 0, atol=1e-12)
-    edges = np.diff(observations.vertices, axis=1)
-    np.testing.assert_allclose(matrix_from_quaternion(start.quaternions)[..., 0],
-                               edges / np.linalg.norm(edges, axis=-1, keepdims=True), atol=1e-12)
