@@ -6,7 +6,7 @@
     observations = load_observations("suture.npz")
     clamps = observation_clamps(observations)
     start = start_configuration(observations, clamps)
-    solution = relax(start, Material(bend=6e5, twist=8e5), clamps)      # F of §III-D, one rod per observation
+    solution = relax(start, Material(bend=6e5, twist=8e5), clamps, up=observations.up)  # F of §III-D, one rod per observation
     solution.configuration.vertices, solution.status, solution.stable   # per rod, nothing averaged
 
 PAPER.md, in the folder of this file, names the code of each equation of the paper.

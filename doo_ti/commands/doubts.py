@@ -23,6 +23,7 @@ BOTH_AGREE = 1.7  # sum of the cosines between the frames of both ends and the e
 EXCHANGED, SHORTER = 0.8, 0.7
 """Least share of the observations in which the line through the marks is shorter with two of them exchanged, and the most that
 its length beside these two then is, over that before."""
+FAR_OFF = 0.03  # of the rod's length, from its marks on average: more is no error of measurement
 MOST_LOOKED_AT, MOST_PAIRS = 30, 4_000_000  # observations, and pairs of marks in all of them
 ALIKE = 0.5  # of the distance that noise gives to two observations of one pose: they share errors
 
@@ -51,6 +52,18 @@ def warn_of_turns(observations: Observations, index: np.ndarray, turns: np.ndarr
     if len(twisted):
         say(observations.source, f"{counted(len(twisted), 'observation')}, first {observations.labels[twisted[0]]}: taken to "
             "be twisted by a turn more than the frames show, since the marks are twice as near then; give total_twist_deg")
+
+
+def warn_of_distance(observations: Observations, distance: np.ndarray) -> None:
+    """Print a warning where rods at rest (R,), of R observations or of these for each of several materials, are by ``distance``
+    (R,) mm of Eq. 1 farther from their marks than :data:`FAR_OFF` of their length."""
+    length = observations.rest_length.sum()
+    worst = int(np.argmax(np.nan_to_num(distance)))
+    if distance[worst] > FAR_OFF * length:
+        say(observations.source, f"at rest the rod of observation {observations.labels[worst % observations.count]} is "
+            f"{distance[worst]:.3g} mm from its marks on average, {distance[worst] / length:.0%} of its length: another "
+            f"material or --up, or edges of {observations.rest_length.max():.3g} mm, which clamps hold whole, are too long "
+            "(doo-ti convert IN OUT --edges N)")
 
 
 def say(source, *doubts: str | None) -> None:

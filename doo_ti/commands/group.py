@@ -4,6 +4,7 @@ import re
 import sys
 from argparse import Namespace
 from dataclasses import fields
+from itertools import combinations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -12,6 +13,7 @@ import numpy as np
 from doo_ti.commands import doubts
 from doo_ti.commands import options as given
 from doo_ti.commands.results import in_newton, report, rows, save_arrays, status_text
+from doo_ti.contact.surroundings import Surroundings, smallest_of_pairs
 from doo_ti.contact.touch import Touch
 from doo_ti.io.toml_file import scene_file
 from doo_ti.learning.landscape import status_counts
@@ -125,10 +127,33 @@ def _summary(scene: "GroupScene", moments: "list[GroupSolution]", out: Path) -> 
         "stable": int(sum(moment.stable[0] for moment in moments)), "energy": last.energy[0], "kinetic": last.kinetic[0],
         "closure": np.max(closure[np.isfinite(closure)], initial=0.0),
         "smallest_gap_mm": np.min(gap[np.isfinite(gap)], initial=np.inf),
+        "overlap": _overlap(scene) if status[0] == Status.INFEASIBLE else None,
+        "contact_force": {name: np.linalg.norm(force[0].sum(axis=0))
+                          for name, force in zip(scene.names, last.contact_force, strict=True)},
         "held_force": {name: value for name, value in forces.items() if value > 0},
         "tie_force": np.linalg.norm(last.tie_force[0], axis=-1), "force_unit_N": scene.newton,
         "friction_work": np.nansum([moment.friction_work[0] for moment in moments]),
         "sticks": int((touch == Touch.STICKS).sum()), "slips": int((touch == Touch.SLIPS).sum()), "out": str(out)}
+
+
+def _overlap(scene: "GroupScene") -> str | None:
+    """Which rods begin inside an obstacle or each other; None where none do."""
+    rods, around = scene.group.rods, scene.surroundings
+    if not around:
+        return None
+    radius = np.broadcast_to(np.ravel(around.radius), len(rods))
+    for name, rod, own in zip(scene.names, rods, radius, strict=True):
+        if around.bodies and Surroundings(around.bodies, own).smallest_gap(rod.vertices)[0] < -own:
+            return f"{in_line(name)} begins inside an obstacle"
+    tied = [{tie.first[0], tie.second[0]} for tie in scene.group.ties]  # these may touch
+    for one, other in (pair for pair in combinations(range(len(rods)), 2) if {*pair} not in tied):
+        vertices = np.concatenate([rods[one].vertices, rods[other].vertices], axis=1)
+        early, late = (pair.ravel() for pair in np.meshgrid(np.arange(rods[one].edges), rods[one].edges + 1
+                                                            + np.arange(rods[other].edges)))
+        apart = smallest_of_pairs(vertices, early, late, lambda _, distance: distance)[0]
+        if apart < 0.1 * min(radius[one], radius[other]):
+            return f"{in_line(scene.names[one])} and {in_line(scene.names[other])} begin {apart:.2g} mm apart"
+    return None
 
 
 def _lines(scene: "GroupScene", summary: dict) -> list[str]:
@@ -136,6 +161,8 @@ def _lines(scene: "GroupScene", summary: dict) -> list[str]:
     moving = f" and {summary['kinetic']:.4g} mm² kinetic" if scene.dynamics is not None else ""
     at_rest = scene.time[summary["moments"] - 1] not in failed  # else forces are those of no equilibrium
     factor, unit = (1.0, "mm²/mm") if scene.newton is None else (scene.newton, "N")
+    pushed = [f"{in_line(name)} {factor * force:.4g}" for name, force in summary["contact_force"].items() if force > 0]
+    pushes = f"; forces on {'; '.join(pushed[:MOST_LISTED])} {unit}" * bool(at_rest and pushed)
     held = sorted(summary["held_force"].items(), key=lambda pair: -pair[1])[:MOST_LISTED]
     return [
         f"{in_line(scene.name)}: {counted(summary['rods'], 'rod')} of {summary['edges']} edges in all, {counted(ties, 'tie')}"
@@ -146,7 +173,8 @@ def _lines(scene: "GroupScene", summary: dict) -> list[str]:
                           + " and later" * (len(failed) > MOST_LISTED)),
             ("energy", np.isfinite(summary["energy"]) and f"{summary['energy']:.6g} mm²{moving}" + " at the end" * several
                        + f"; ties and ends miss their places by at most {summary['closure']:.1e} of the longest rod"),
-            ("contact", np.isfinite(gap) and f"smallest gap {gap:.2g} mm"),
+            ("infeasible", summary["overlap"]),
+            ("contact", np.isfinite(gap) and f"smallest gap {gap:.2g} mm" + pushes),
             ("friction", scene.surroundings.rub and f"takes {summary['friction_work']:.3g} mm²; at the end {summary['sticks']} "
                                                     f"vertices stick, {summary['slips']} slip"),
             ("forces", at_rest and held and "of clamps: " + "; ".join(

@@ -41,13 +41,19 @@ def add_rig(parser: ArgumentParser) -> None:
     """The cameras, and what their file leaves open; :func:`rig` reads them."""
     given.add(parser, "--rig", "RIG", scene_file, "the calibrated cameras (docs/cameras.md): OpenCV FileStorage YAML, OpenCV's "
               "stereo file, or COLMAP's cameras.txt", required=True)
-    parser.add_argument("--rig-unit", choices=tuple(UNITS_IN_MM), help="unit of lengths in RIG (default mm)")
+    given.add(parser, "--rig-unit", "UNIT", _length_unit, f"unit of lengths in RIG, {', '.join(UNITS_IN_MM)}, or how many mm "
+              "it has: that of COLMAP is arbitrary (default mm)")
     parser.add_argument("--rig-poses", choices=tuple(POSES), help="what R and t in RIG are: world to camera, camera to world, "
                         "or R and the camera's centre; axes of OpenCV (z forward) or OpenGL (y up) (default opencv)")
     parser.add_argument("--rig-lens", choices=LENSES, default="opencv", help="model of the lenses in RIG (default opencv)")
     given.add(parser, "--image-size", "WIDTH,HEIGHT", given.numbers("WIDTH,HEIGHT", given.FROM_ZERO), "size of the images, "
               "where RIG does not state it")
     add_orientation(parser, "RIG's, else ignore")
+
+
+def _length_unit(option: str, text: str) -> str | float:
+    """A word for a unit, or mm."""
+    return text if text in UNITS_IN_MM else given.positive(f"mm, or {', '.join(UNITS_IN_MM)}")(option, text)
 
 
 def add_orientation(parser: ArgumentParser, default: str) -> None:
@@ -296,7 +302,7 @@ def _sets(options: Namespace, rig):
     paths = tuple(Path(image) for image in options.images)
     clicks = clicked(options, rig)
     name = paths[0].absolute().parent.name if stems == rig.names else stems[0]  # a camera's name is none of a set
-    return ImageSets((in_line(name),), (paths,), rig, point, direction, given.SOURCE, (clicks,))
+    return ImageSets((in_line(name),), (paths,), rig, point, direction, given.SOURCE, (clicks,) if clicks else None)
 
 
 def clicked(options: Namespace, rig: Rig) -> dict[int, tuple[float, float]]:

@@ -29,7 +29,8 @@ if TYPE_CHECKING:
 LOSSES = ("bend_damping", "twist_damping", "drag", "quadratic_drag")
 MOST_STRETCH = 0.1  # by which the rod's length may differ from that of THETA.json
 MOST_LENGTHS = 100.0  # of a rod, between its clamps
-FAR_OFF = 0.05  # of the rod's length, from a clamp to where its motion begins: more is no error of measurement
+FAR_OFF, NEAR = 0.05, 0.01
+"""Of the rod's length, from a clamp to where its motion begins: more is no error of measurement; with less it begins there."""
 
 
 # --- options -------------------------------------------------------------------------------------------------------------
@@ -163,6 +164,7 @@ def simulated_rods(options: Namespace, out: Path, changes: dict) -> SimulatedRod
     with busy(f"relaxing {len(held.names)} rods (kernels are compiled once on a machine)"):
         _, rows, (first, clamps, _) = begun(held.start, held.material, held.clamps, path, LARGEST_TURN, held.up, Newton(),
                                             "f64", held.surroundings.at(0))
+    warn_of_start(held, first.configuration)
     failed = np.flatnonzero(~first.converged)
     if len(failed):
         raise InputError(options.source, "vertices_mm", f"{held.names[failed[0]]} has no equilibrium where the motion begins",
@@ -246,6 +248,19 @@ def warn_of(held: HeldRods, options: Namespace) -> None:
             warn(f"{held.path.source}: {name}_mm: the motion begins {off.max():.4g} mm from the clamp of observation "
                  f"{held.observations.labels[off.argmax()]}; give --relative where these are displacements")
             return
+
+
+def warn_of_start(held: HeldRods, rods: Configuration) -> None:
+    """Print a warning where ``rods`` (R), at rest where their path begins, are far from the marks of their observations, and
+    the path begins there."""
+    from doo_ti.rod.metric import distance
+
+    first, count = held.path.at(0, held.clamps), held.observations.count
+    off = np.max([np.linalg.norm(getattr(first, name) - getattr(held.clamps, name), axis=-1)
+                  for name in ("start_position", "end_position")], axis=0)
+    far = distance(rods, held.observations, np.arange(rods.count) % count)
+    doubts.warn_of_distance(held.observations, np.where(np.resize(off, len(far)) > NEAR * held.observations.rest_length.sum(),
+                                                        0.0, far))
 
 
 # --- theta ---------------------------------------------------------------------------------------------------------------

@@ -8,7 +8,7 @@ import numpy as np
 
 from doo_ti.commands import doubts, loading, results
 from doo_ti.commands import options as given
-from doo_ti.commands.moving_rods import OF_MOTIONS, HeldRods, add_motion, check_reach, held_rods, warn_of
+from doo_ti.commands.moving_rods import OF_MOTIONS, HeldRods, add_motion, check_reach, held_rods, warn_of, warn_of_start
 from doo_ti.dynamics.parameters import LEAST_WAY, Dynamics, Stepping
 from doo_ti.io.scene import PRECISIONS
 from doo_ti.io.toml_file import scene_file
@@ -67,6 +67,8 @@ def run(options: Namespace) -> int:
         shown = bar.add_task(rods.name, total=count * intervals, unit="rods x moments")
         prediction = _predicted(rods, stepping, sub_step, options.precision, between=between, up=rods.up,
                                 advance=lambda done: bar.advance(shown, done), **rods.surroundings.arguments)
+    if rods.observations is not None:
+        warn_of_start(rods, prediction.at(0))
     result = _arrays(rods, prediction)
     results.save_arrays(out, result, ("moment", "rod"))
     summary = _summary(rods, prediction, result, out)

@@ -62,6 +62,7 @@ def run_relax(options: Namespace) -> int:
     error[infeasible] = np.nan
     best = choose_hypothesis(index, error, solution.converged & solution.stable, total_twist(relaxed.quaternions))
     doubts.warn_of_turns(observations, index[best], turns[best])
+    doubts.warn_of_distance(observations, error[best])
     configuration = relaxed.take(best)
     result = {"vertices_mm": configuration.vertices, "frames": configuration.frames, "distance_mm": error[best],
               "rest_length_mm": observations.rest_length}

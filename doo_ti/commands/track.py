@@ -23,6 +23,7 @@ from doo_ti.system.terminal import can_record, in_line, progress, warn
 from doo_ti.vision.images import SEED, SEEDS, ImageSets, cameras_in, clicks_in, images_in, seed_columns
 
 MOST_LISTED = 30
+VIDEOS = (".avi", ".mkv", ".mov", ".mp4", ".mpg", ".webm")
 LEAST_SHOWN = 0.01  # px: smaller errors are less than the noise of the smoothed images
 
 
@@ -101,6 +102,8 @@ def load_frames(path: Path, rig, clicks_of=lambda rig: {}):
 
     Raises InputError naming line and column for whatever is missing or not a number, and for missing images.
     """
+    if path.suffix.lower() in VIDEOS:
+        raise InputError(path, "file", "a video", "save its frames as images, and give a table that names them")
     form = f"frame, one per camera, and {SEEDS}"
     table = read_csv(path, ("frame",), form=form, short_lines=True)
     given_clicks = bool(clicks_of(rig))

@@ -200,7 +200,7 @@ def read_opencv_yaml(text: str):
             return super().compose_node(parent, index)
 
         def matrix(self, node):
-            return _matrix(self.construct_mapping(node, deep=True))
+            return matrix_of(self.construct_mapping(node, deep=True))
 
     Loader.add_constructor("tag:yaml.org,2002:opencv-matrix", Loader.matrix)
     # FileStorage begins with a line that only OpenCV takes for a version of YAML, %YAML:1.0.
@@ -213,7 +213,8 @@ def read_opencv_yaml(text: str):
         raise DamagedError(first_line(error)) from None
 
 
-def _matrix(entries: dict) -> np.ndarray:
+def matrix_of(entries: dict) -> np.ndarray:
+    """The matrix of rows, cols, dt and data. Raises DamagedError."""
     rows, columns, kind, data = (entries.get(key) for key in ("rows", "cols", "dt", "data"))
     for name, value in (("rows", rows), ("cols", columns)):
         if type(value) is not int or value < 1:

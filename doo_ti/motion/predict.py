@@ -146,15 +146,17 @@ def predict(
             moments.append((solution, jumps, moments[-1][2] + np.tile(rotation_about_rod(leg), len(rods) // motions)))
             advance(len(rods))
     solutions, jumps, rotation = zip(*moments, strict=True)
-    return Prediction(time=time, rest_length=here.rest_length.copy(), jumps=np.stack(jumps),
-                      end_rotation=np.stack(rotation), material=rods, motion=np.arange(len(rods)) % motions,
-                      **_reported(solutions))
+    found = Prediction(time=time, rest_length=here.rest_length.copy(), jumps=np.stack(jumps),
+                       end_rotation=np.stack(rotation), material=rods, motion=np.arange(len(rods)) % motions,
+                       **_reported(solutions))
+    return replace(found, jumps=np.where(found.followed, found.jumps, 0))
 
 
 def _reported(solutions: Sequence[Solution]) -> dict[str, np.ndarray]:
     """Fields of :class:`Prediction` that are those of the solutions at its moments."""
     found = {name: np.stack([getattr(solution, name) for solution in solutions]) for name in REPORTED}
     found["status"] = np.array(list(accumulate(found["status"], sticky)))
+    found["stable"] &= found["status"] == Status.CONVERGED
     if solutions[0].contact_force is not None:
         found["contact_force"] = np.stack([solution.contact_force for solution in solutions])
     for name in ("start", "quaternions"):

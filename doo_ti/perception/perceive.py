@@ -1,4 +1,4 @@
-"""Algorithm 1: from images to rods, edge by edge (§IV-A).
+"""Algorithm 1: from images to rods, edge by edge (§IV-A), with the steps of :mod:`doo_ti.perception.search`.
 
     Γ ← v⁰, e⁰                                                       Search.initial_hypotheses
     for i = 1 … E − 1:

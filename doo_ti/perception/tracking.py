@@ -169,11 +169,15 @@ class Tracker:
     rig, rest_length, material, up, search   as in :func:`doo_ti.perception.perceive.perceive`, ``search`` its options
     options                                  when the rod counts as lost
     surroundings                             obstacles that the rod may touch but not enter, and its radius
+
+    Raises InputError for a rig of one camera, and as that function does.
     """
 
     def __init__(self, rig: Rig, rest_length: ArrayLike, material: Material, *, up: ArrayLike = (0.0, 0.0, 1.0),
                  search: PerceptionOptions = PerceptionOptions(), options: TrackingOptions = TrackingOptions(),
                  surroundings: Surroundings = Surroundings()) -> None:
+        if len(rig.cameras) < FEWEST_CAMERAS:
+            raise InputError("Tracker", "rig", "one camera, which shows no depth", "give two or more, or `perceive` the images")
         self._rig, self._material, self._search, self._options = rig, material, search, options
         self._rest_length, self._up = checked_rod("Tracker", rest_length, material, up)
         self._surroundings = surroundings

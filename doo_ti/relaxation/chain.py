@@ -184,7 +184,8 @@ class Chain(PairEnergy):
         return free
 
     def hanging_weight(self, rod, length, remaining):
-        """Coefficient of gravity on an edge: Σ_{i>j} l̄_i, less Σ_i l̄_i where the rod hangs from its far end."""
+        """E_gravity = Σ_i μ l̄_i up·v_i = μ Σ_j c_j l_j up·t_j (§III-C), from vertex 0: the coefficient c_j = Σ_{i>j} l̄_i of an
+        edge, less Σ_i l̄_i where the rod hangs from its far end."""
         return length + 2.0 * remaining - 2.0 * rod.total * rod.released
 
     def summed(self, total, lost, values):

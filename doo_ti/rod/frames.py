@@ -164,7 +164,11 @@ def vertices_from_quaternions(start: np.ndarray, quaternions: np.ndarray, rest_l
 
 
 def bishop_frames(tangents: np.ndarray, first: np.ndarray) -> np.ndarray:
-    """Bishop frames of §III-C: ``first`` (..., 3) is u⁰ ⟂ t⁰; returns (..., E, 3, 3), columns t, u, v."""
+    """Bishop frames of §III-C: ``first`` (..., 3) is u⁰ ⟂ t⁰; returns (..., E, 3, 3), columns t, u, v.
+
+    u^j = P u^{j−1}, P the smallest rotation from t^{j−1} to t^j (parallel transport), and v = t × u. Material frames are turned
+    against these by θ: m1 = cos θ u + sin θ v, m2 = −sin θ u + cos θ v.
+    """
     tangents = np.asarray(tangents, dtype=np.float64)
     frames = np.empty((*tangents.shape, 3))
     u = first / np.linalg.norm(first, axis=-1, keepdims=True)

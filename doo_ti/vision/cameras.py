@@ -240,7 +240,7 @@ class RigReading:
     """How a file of cameras is meant: what it leaves open. None: as usual, and doubted where cameras then do not see what they
     should: with a wrong reading it is behind them or beside their images.
 
-    unit    of lengths, one of ``doo_ti.rod.material.UNITS_IN_MM``; None: mm
+    unit    of lengths, one of ``doo_ti.rod.material.UNITS_IN_MM``, or how many mm it has; None: mm
     poses   one of POSES; None: "opencv", x_cam = R x_world + t with z forward
     lens    "opencv", or "fisheye": of a stereo file, whose coefficients are k1, k2, k3, k4 of OpenCV's fisheye model
     turned  images are turned as their files' orientation tags say; None: as the rig says, else as the sensor has them
@@ -249,7 +249,7 @@ class RigReading:
     Raises InputError for other words.
     """
 
-    unit: str | None = None
+    unit: str | float | None = None
     poses: str | None = None
     lens: str = "opencv"
     turned: bool | None = None
@@ -258,13 +258,15 @@ class RigReading:
     def __post_init__(self) -> None:
         for name, known in (("unit", UNITS_IN_MM), ("poses", POSES), ("lens", LENSES)):
             value = getattr(self, name)
-            if value is not None and value not in known:
+            if isinstance(value, str) and value not in known:
                 raise InputError("rig", name, f"{value!r} is unknown", f"give {', '.join(known)}")
+        if isinstance(self.unit, float) and not 0 < self.unit < np.inf:
+            raise InputError("rig", "unit", f"{self.unit}", "give how many mm it has")
 
     def applied(self, camera: Camera) -> Camera:
         """The camera of a file in our axes and mm."""
         turn, shift = POSES[self.poses or "opencv"](camera.rotation, camera.translation)
-        changed = replace(camera, rotation=turn, translation=UNITS_IN_MM[self.unit or "mm"] * shift)
+        changed = replace(camera, rotation=turn, translation=UNITS_IN_MM.get(self.unit or "mm", self.unit) * shift)
         return changed if self.turned is None else replace(changed, turned=self.turned)
 
 
@@ -316,9 +318,8 @@ class Rig:
             return
         kinds = [kind for kind in POSES if kind != "opencv"]
         readings = [(RigReading(unit="m"), "its lengths are in m", "--rig-unit m")]
-        readings += [(RigReading(poses=kind), f"its poses are {kind}", f"--rig-poses {kind}") for kind in kinds]
-        readings += [(RigReading("m", kind), f"its poses are {kind}, in m", f"--rig-poses {kind} --rig-unit m")
-                     for kind in kinds]
+        for unit, also, more in ((None, "", ""), ("m", ", in m", " --rig-unit m")):
+            readings += [(RigReading(unit, kind), f"its poses are {kind}{also}", f"--rig-poses {kind}{more}") for kind in kinds]
         for reading, assumed, option in readings:
             yield Rig(tuple(reading.applied(camera) for camera in self.cameras), self.source, reading), assumed, option
 

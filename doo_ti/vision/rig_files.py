@@ -9,11 +9,12 @@ to 0.7 px as far as 84°, with focal lengths of 250 to 600 px.
 """
 
 import os
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
 
-from doo_ti.io.foreign import read_opencv_yaml
+from doo_ti.io.foreign import matrix_of, read_opencv_yaml
 from doo_ti.rod.frames import matrix_from_quaternion, rotation_matrix
 from doo_ti.system.arguments import typed
 from doo_ti.system.errors import InputError
@@ -23,7 +24,8 @@ from doo_ti.vision.cameras import KEYS, Camera, Rig, RigReading
 MOST_FILE_BYTES = 1 << 20  # of a rig: some thousand cameras
 MOST_IMAGES_BYTES = 1 << 26  # of COLMAP's images.txt, which lists all points seen
 MATRIX = ("K{}", "M{}", "cameraMatrix{}", "camera_matrix_{}", "camera_matrix{}", "CM{}", "intrinsics{}")
-LENS = ("D{}", "distCoeffs{}", "dist_coeffs_{}", "dist_coeffs{}", "distortion{}", "dist{}", "distCoeff{}")
+LENS = ("D{}", "distCoeffs{}", "dist_coeffs_{}", "dist_coeffs{}", "distortion{}", "dist{}", "distCoeff{}",
+        "distortion_coefficients{}")
 SIZE = (("image_width", "image_height"), ("width", "height"), ("imageWidth", "imageHeight"))
 """How programs name the entries of a stereo file."""
 COLMAP = {
@@ -36,7 +38,8 @@ COLMAP = {
 @typed
 def load_rig(path: str | os.PathLike[str], reading: RigReading = RigReading()) -> Rig:
     """The rig of a file: OpenCV FileStorage YAML with a list ``cameras`` of maps name, width, height, K, dist, R, t, or with
-    K1, D1, K2, D2, R, T of a stereo calibration; or COLMAP's cameras.txt and images.txt, by either or their folder.
+    K1, D1, K2, D2, R, T of a stereo calibration, or the camera_matrix of one camera, also as ROS writes it; or COLMAP's
+    cameras.txt and images.txt, by either or their folder.
 
     Raises InputError for a file that cannot be read, for missing entries, and for values that :class:`Camera` refuses.
     """
@@ -85,11 +88,13 @@ def read_yaml(path: Path):
 # --- OpenCV's stereo files -------------------------------------------------------------------------------------------------
 
 def stereo_cameras(path: Path, content: dict, reading: RigReading) -> list[Camera] | None:
-    """Two cameras, the world being the first one's axes; None where the file has no matrix of a first camera.
+    """Two cameras, or the one of a file without a second, the world being the first one's axes; None where the file has no
+    matrix of a camera.
 
     Poses may be in ``extrinsics.yml`` beside ``intrinsics.yml``, as OpenCV's program writes them.
     """
-    if _named(content, MATRIX, 1) is None:
+    numbers = (1, 2) if _named(content, MATRIX, 1) is not None else ("",)
+    if _named(content, MATRIX, numbers[0]) is None:
         return None
     beside = path.with_name(path.name.replace("intrinsics", "extrinsics"))
     if "R" not in content and beside != path and beside.is_file():
@@ -97,9 +102,9 @@ def stereo_cameras(path: Path, content: dict, reading: RigReading) -> list[Camer
         content = {**(more if isinstance(more, dict) else {}), **content}
     width, height = _stated_size(path, content, reading)
     cameras = []
-    for number in (1, 2):
+    for number in numbers:
         matrix, lens = _named(content, MATRIX, number), _named(content, LENS, number)
-        pose = (np.eye(3), np.zeros(3)) if number == 1 else (content.get("R"), content.get("T", content.get("t")))
+        pose = (np.eye(3), np.zeros(3)) if number != 2 else (content.get("R"), content.get("T", content.get("t")))
         for key, value, shapes in ((f"K{number}", matrix, ((3, 3),)), ("R", pose[0], ((3, 3), (3, 1), (1, 3))),
                                    ("T", pose[1], ((3,), (3, 1), (1, 3)))):
             if not isinstance(value, np.ndarray) or value.shape not in shapes:
@@ -110,14 +115,19 @@ def stereo_cameras(path: Path, content: dict, reading: RigReading) -> list[Camer
         turn = pose[0]
         if turn.size == 3:
             turn = rotation_matrix(turn.ravel())
-        if reading.lens == "fisheye":
+        if reading.lens == "fisheye" or content.get("distortion_model") == "equidistant":
             lens = rational_of_fisheye(path, f"D{number}", matrix, lens, width, height)
-        cameras.append(Camera(f"cam{number - 1}", width, height, matrix, lens.ravel(), turn, pose[1].ravel(), str(path)))
+        cameras.append(Camera(f"cam{len(cameras)}", width, height, matrix, lens.ravel(), turn, pose[1].ravel(), str(path)))
     return cameras
 
 
-def _named(content: dict, names: tuple[str, ...], number: int):
-    return next((content[name.format(number)] for name in names if name.format(number) in content), None)
+def _named(content: dict, names: tuple[str, ...], number: int | str):
+    """The entry of a camera, a matrix where it is one; ROS writes rows, cols and data without saying so."""
+    found = next((content[name.format(number)] for name in names if name.format(number) in content), None)
+    if isinstance(found, dict):
+        with suppress(ValueError):  # else it is no matrix
+            return matrix_of({"dt": "d", **found})
+    return found
 
 
 def _stated_size(path: Path, content: dict, reading: RigReading) -> tuple[int, int]:
