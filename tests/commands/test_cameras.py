@@ -189,27 +189,10 @@ def test_two_labels_that_contradict_each_other_are_reported(tmp_path, rng, capsy
     assert not found.valid[0, 2] and found.rest_length.tolist() == [3, 3, 3, 3]
 
 
-WRONG = {
-    "a name of two lines": ([('"a\nb"', *row[1:]) for row in good_rows()], [], "marks.csv", "line break"),
-    "sigma": (good_rows(), ["--sigma-px", "0"], "--sigma-px", "positive"),
-    "threshold": (good_rows(), ["--threshold", "-1"], "threshold", "positive"),
-    "the input itself": (good_rows(), ["--out", "marks.csv"], "--out", "the input itself"),
-    "labels": (good_rows(), ["--labels", "none.csv"], "none.csv", "no such file"),
-    "rig": (good_rows(), ["--rig", "none.yaml"], "none.yaml", "no such file")}
-
-
-@pytest.mark.parametrize("case", WRONG)
-def test_wrong_input(capsys, tmp_path, monkeypatch, case):
-    monkeypatch.chdir(tmp_path)
-    rows, words, *expected = WRONG[case]
-    argv = [*prepared(tmp_path, rows), "--out", str(tmp_path / "F.npz"), *words]
-    refused(capsys, tmp_path, argv, *expected)
-
-
-def test_one_camera_is_no_rig(capsys, tmp_path):
-    argv = [*prepared(tmp_path, good_rows()), "--out", str(tmp_path / "F.npz")]
-    save_rig(tmp_path / "rig.yaml", Rig(RIG.cameras[:1]))
-    refused(capsys, tmp_path, argv, "rig.yaml", "cameras", "two or more")
+def test_wrong_options_of_triangulate(capsys, tmp_path):
+    argv = prepared(tmp_path, good_rows())
+    refused(capsys, tmp_path, [*argv, "--out", str(tmp_path / "marks.csv")], "--out", "the input itself")
+    refused(capsys, tmp_path, [*argv, "--out", str(tmp_path / "F.npz"), "--threshold", "-1"], "threshold", "positive")
 
 
 @pytest.mark.parametrize("spoil, option", [

@@ -153,38 +153,3 @@ def test_wrong_options_are_refused_in_one_line(folder, capsys, monkeypatch, comm
     words, message = REFUSED[case]
     monkeypatch.chdir(folder)
     refused(capsys, folder, [command, *COMMANDS[command], *words], message)
-
-
-KNOT = """
-rate_hz = 20
-duration_s = 0.25
-quasi_static = true
-[rod]
-length_mm = 130.0
-edges = 45
-radius_mm = 0.8
-at_rest = true
-knot_loop_mm = 10.0
-[materials.suture]
-bend = 6e5
-weight = 0.0
-density = 1.0
-[clamps]
-start = "tangent"
-end = "tangent"
-[[obstacles]]
-kind = "itself"
-friction = 0.1
-[[moments]]
-time_s = 0.25
-start_position_mm = [-2.0, 0, 0]
-"""
-
-
-@pytest.mark.parametrize(("old", "new", "words"), [
-    ("radius_mm = 0.8", "", "rod.radius_mm: missing"), ("length_mm = 130.0", "length_mm = 60.0", "rod.length_mm: 60 mm"),
-    ("friction = 0.1", "friction = -0.1", "friction"), ("friction = 0.1", "radius = 1", "radius"),
-    ("start_position_mm = [-2.0, 0, 0]", 'start_turns = "two"', "start_turns")])
-def test_wrong_scenes_are_one_line(old, new, words, tmp_path, capsys):
-    (tmp_path / "knot.toml").write_text(KNOT.replace(old, new))
-    refused(capsys, tmp_path, ["simulate", str(tmp_path / "knot.toml"), "--out", str(tmp_path / "k.npz")], words)

@@ -77,6 +77,8 @@ def test_marks_give_positions_and_tangents(tmp_path):
     ({"end_frame": np.stack([np.eye(3), np.eye(3)]), "end_rotation_deg": [0.0, 90.0]}, "end_frame turns by 0"),
     ({"positions_mm": np.zeros((2, 2, 3))}, "positions_mm"),
     ({"positions_mm": np.arange(36.0).reshape(3, 4, 3), "time_s": np.arange(2.0)}, "time_s"),
+    ({"positions_mm": 1e6 * np.arange(36.0).reshape(3, 4, 3)}, "start_position.* within 1e\\+06 mm"),
+    ({"end_rotation_deg": [0.0, 2.0**32]}, "end_rotation: .* rad"),
     ({"else": np.zeros(3)}, "end_position_mm"),
     ({"end_position_mm": np.array(["a"])}, "numeric")])
 def test_wrong_files_are_named(tmp_path, keys, word):

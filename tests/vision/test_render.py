@@ -86,7 +86,7 @@ def test_occluders_hide_about_the_share_that_was_asked_for():
 
 
 def test_what_cannot_be_drawn_is_refused():
-    for change in ({"blur_px": -1}, {"jpeg_quality": 0}, {"light": (0, 0, 0)}, {"occluded_share": 2}):
+    for change in ({"blur_px": -1}, {"jpeg_quality": 0}, {"light": (0, 0, 0)}, {"occluded_share": 2}, {"occluders": 10**6}):
         check_refused(": ", RenderOptions, **change)
-    for rod, diameter in ((bow()[:1], 1), (bow() * np.nan, 1), (bow()[[0, 0, 1]], 1), (bow(), 0)):
+    for rod, diameter in ((bow()[:1], 1), (bow() * np.nan, 1), (bow()[[0, 0, 1]], 1), (bow(), 0), (bow(), 1e300)):
         check_refused(": ", render_set, small_rig(), rod, diameter)
