@@ -126,14 +126,6 @@ def test_a_run_s_best_cells(observed, tmp_path, capsys):
     refused(capsys, tmp_path, ["refine", str(run), "--bend", "1e4"], "--bend")
 
 
-@pytest.mark.thorough
-def test_rods_that_one_end_holds(observed, capsys):
-    argv = ["refine", str(observed), "--bend", "4e4", "--twist", "2e4", "--no-models", "--rest-curvature", "none",
-            "--clamp-start", "free", "--parameters", "bend", "--json"]
-    assert main(argv) in (0, 1)
-    assert "Traceback" not in capsys.readouterr().err
-
-
 @pytest.mark.parametrize("more, message", [
     ([], "--EI: missing"),
     (["--bend", "1e4:1e5:3"], "refine the run of a sweep"),

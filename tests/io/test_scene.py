@@ -261,13 +261,6 @@ def test_a_loop_is_thrown_and_pops_out():
     assert (short[inside] > 300).all() and np.abs(short[-1]) < 10 and np.abs(short[: jumps[0] - 40]).max() < 90
 
 
-@pytest.mark.thorough
-def test_a_suture_is_pulled_straight():
-    scene, prediction = carried("pulled_straight")
-    ends = prediction.vertices[-1]
-    assert np.abs(ends[..., 1:]).max() < 3 and prediction.jumps.sum() == 0
-
-
 def test_omitted_quantities_stay_as_they_were(tmp_path):
     file = tmp_path / "scene.toml"
     file.write_text(MOTION, encoding="utf-8")

@@ -124,14 +124,6 @@ def test_nothing_is_left_to_train_on():
     np.testing.assert_array_equal(np.isnan(found.standard_error), found.count < 2)
 
 
-def test_rods_that_are_no_certified_minima_are_counted():
-    good = static("a", np.array([[1.0, 1.0, 1.0], [2.0, 2.0, 2.0]]))
-    status = good.status.copy()
-    status[0, 1] = Status.STALLED
-    unsure = replace(good, name="b", status=status, stable=np.array([[True, True, False], [False] * 3]))
-    assert scores(good, unsure).uncertified.tolist() == [[0, 2], [0, 2]]
-
-
 def test_rods_that_fell_to_another_branch_are_counted():
     landscape = dynamic("a", np.ones((2, 3)), [(0, 1), (1, 2), (2, 0)])
     assert scores(landscape).jumped.tolist() == [[0]]

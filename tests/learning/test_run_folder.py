@@ -248,21 +248,6 @@ def test_another_version_does_not_resume_a_run(copy, monkeypatch):
     check_refused(f"{maker()['doo_ti']}.*99.0", sweep, folder, small_lab(), GRID)
 
 
-def test_a_chunk_says_who_made_it(runs):
-    chunk = min((runs / "static" / "cells").glob("*.parquet"))
-    metadata = pyarrow.parquet.read_schema(chunk).metadata
-    summary = json.loads((runs / "static" / "summary.json").read_text())
-    assert json.loads(metadata[b"doo_ti_maker"]) == maker() == summary["provenance"]["maker"]
-    assert metadata[b"doo_ti_sweep"].decode() == summary["provenance"]["sweep_sha256"]
-
-
-@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="takes pipes with names")
-def test_a_pipe_in_the_place_of_cells_is_not_waited_for(capsys, copy):
-    run = copy("static")
-    pipe(min((run / "cells").glob("*.parquet")))
-    refused(capsys, ["learn", run], "a pipe")
-
-
 def test_an_identity_that_is_none_is_refused(copy):
     path = copy("static") / "cells" / "identity.txt"
     path.write_bytes(b"\xff\xfe\x00")

@@ -117,21 +117,6 @@ def test_too_large_a_grid_is_reported_before_it_starts(tmp_path, observations):
     assert not (tmp_path / "run").exists()
 
 
-@pytest.mark.thorough
-def test_rods_that_stall_at_their_observation_do_not_win(tmp_path, capsys):
-    from doo_ti.commands.cli import main
-    from doo_ti.io.observation_files import save_observations
-
-    save_observations(tmp_path / "o.npz", small_lab())
-    argv = ["sweep", str(tmp_path / "o.npz"), "--bend", "4e5", "--weight", "1:1e20:5", "--out", str(tmp_path / "run")]
-    assert main(argv) == 0
-    summary = json.loads((tmp_path / "run" / "summary.json").read_text())
-    assert summary["best"]["weight"] == 1.0 and summary["rods_at_best"] == {"converged": 6, "stable": 6}
-    out = capsys.readouterr().out
-    assert summary["cells_not_competing"] > 0
-    assert f"competing   {summary['cells_competing']} of 5" in out
-
-
 # --- a dynamic sweep (Eq. 3) ----------------------------------------------------------------------------------------------
 
 def test_rows_are_what_eq_3_says(tmp_path):
