@@ -93,20 +93,16 @@ def test_each_heavy_library_has_one_door():
         assert users <= rooms, library
 
 
-def test_learning_twist_and_perception_are_apart():
-    for name in APART & MODULES.keys():
-        assert not own(MODULES[name]) & (APART - {name})
-
-
-def test_relax_does_not_know_vision():
-    """Neither by itself nor through what it imports."""
+def test_learning_and_perception_are_apart_and_relax_knows_no_observations():
+    """``rod.observations`` neither by itself nor through what it imports."""
+    for name in (name for name in MODULES if layer(name) in APART):
+        assert not own(MODULES[name]) & (APART - {layer(name)}), name
     seen, waiting = set(), {name for name in MODULES if layer(name) == "relaxation"}
     while waiting:
         name = waiting.pop()
         seen.add(name)
         waiting |= {other.removeprefix("doo_ti.") for other in imported(MODULES[name])} & MODULES.keys() - seen
-    assert len(seen) > 20 and "system.files" in seen  # the kernel cache writes files
-    assert not {layer(name) for name in seen} & {"vision", "record", "report", "learning"} and "rod.observations" not in seen
+    assert "system.files" in seen and "rod.observations" not in seen  # the kernel cache writes files
 
 
 def test_one_place_starts_taichi_and_makes_kernels():

@@ -97,7 +97,7 @@ def test_materials_and_starts_at_once(folder, capsys):
 
 @pytest.mark.parametrize("command", ["relax", "predict"])
 def test_a_stiffer_material_twists_no_rod(folder, command):
-    """A d.hanging cable under a stiffer material is off by 1.2340 mm with a turn of twist, by 1.2403 mm without."""
+    """A hanging cable under a stiffer material is off by 1.2340 mm with a turn of twist, by 1.2403 mm without."""
     rod, clamps = d.hanging(330.0, 33, (0, 0, 0), (210, 0, 0), clamp=d.Clamp.FRAME)
     shape = d.relax(rod, d.Material(4e5, 4e5), clamps).configuration
     d.save_observations(folder / "cable.npz", d.Observations(shape.vertices, rest_length=np.full(33, 10.0),

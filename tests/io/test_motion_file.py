@@ -17,18 +17,6 @@ def held(count: int = 1) -> Clamps:
     return Clamps(Clamp.FRAME, Clamp.FRAME, *places, np.tile(np.eye(3), (count, 1, 1)), np.tile(np.eye(3), (count, 1, 1)))
 
 
-def test_npz(tmp_path):
-    file = tmp_path / "motion.npz"
-    end = np.array([[50.0, 0, 0], [45.0, 1, 0], [40.0, 2, 0]])
-    np.savez(file, time_s=[0.0, 0.5, 2.0], end_position_mm=end, end_frame=np.stack([np.eye(3), QUARTER, QUARTER @ QUARTER]))
-    path = load_path(file)
-    assert path.moments == 3 and path.count == 1 and path.time.tolist() == [0, 0.5, 2] and not path.tangents_only
-    clamps = path.at(1, held(2))
-    np.testing.assert_array_equal(clamps.end_position, np.tile(end[1], (2, 1)))
-    np.testing.assert_array_equal(clamps.end_frame, np.tile(QUARTER, (2, 1, 1)))
-    np.testing.assert_array_equal(clamps.start_position, held(2).start_position)
-
-
 def test_csv_holds_the_same(tmp_path):
     file = tmp_path / "motion.csv"
     columns = [f"end_frame_{director}_{axis}" for axis in "xyz" for director in ("t", "m1", "m2")]

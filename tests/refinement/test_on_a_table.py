@@ -89,7 +89,7 @@ def test_commands_take_the_table_and_the_run_of_a_sweep_keeps_it(rope, tmp_path,
         assert bend["low"] < truth["bend"] < bend["high"]
         assert found["obstacles"]["kinds"] == ["plane"] and found["obstacles"]["radius_mm"] == 2.0
     for words, field in (([*of_file, *radius], "--radius: "), ([*of_file, *obstacles], "--radius: "),
-                         ([*of_file, *obstacles, "--radius", "40"], "inside a d.Plane"),
+                         ([*of_file, *obstacles, "--radius", "40"], "inside a Plane"),
                          ([*of_run, *obstacles], "--obstacles: ")):
         refused(capsys, tmp_path, words, field)
 

@@ -159,15 +159,6 @@ def test_a_small_landscape_stays_as_it_is():
 
 
 @pytest.mark.thorough
-@pytest.mark.parametrize("shape", [(900, 800), (20_000,)])
-def test_a_picture_of_many_cells(shape):
-    axes, values, minimum, unfinished = large(shape)
-    file = io.BytesIO()
-    landscapes.landscape_picture(file, LandscapePlane.of(axes, values, minimum, unfinished), title="many")
-    assert file.getvalue()[:8] == b"\x89PNG\r\n\x1a\n"
-
-
-@pytest.mark.thorough
 def test_a_recording_of_many_cells(tmp_path, rng):
     from doo_ti.record.sweep import MOST_POINTS, record_sweep
 

@@ -145,24 +145,18 @@ def test_the_clock_of_limits_stands_still_while_kernels_compile():
     assert time.monotonic() - runtime.working_time() - began >= 0.05
 
 
-def at_once(name: str, threads: int) -> None:
-    """Python threads that use the kernels for the first time at the same moment: Taichi compiles for one at a time."""
+FIRST = ("relax", "simulate")
+
+
+@pytest.mark.parametrize(("name", "threads"), [
+    *(pytest.param(name, 8, marks=pytest.mark.thorough) for name in FIRST),
+    *(pytest.param(name, threads, marks=pytest.mark.slow) for name in CALLS for threads in (2, 8)
+      if name not in FIRST or threads < 8)])
+def test_any_function_may_be_the_first_of_several_threads(name, threads):
+    """Which use the kernels for the first time at the same moment: Taichi compiles for one at a time."""
     command = [sys.executable, "-m", "tests.first_use", name, str(threads)]
     done = subprocess.run(command, capture_output=True, text=True, cwd=ROOT)
     assert done.stdout.split("\n")[-2:] == ["alike", ""], f"{done.stdout}{done.stderr}"
-
-
-@pytest.mark.thorough
-@pytest.mark.parametrize("name", ["relax", "simulate"])
-def test_eight_threads_begin_at_once(name):
-    at_once(name, 8)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("threads", [2, 8])
-@pytest.mark.parametrize("name", CALLS)
-def test_any_function_may_be_the_first(name, threads):
-    at_once(name, threads)
 
 
 def test_no_kernel_is_launched_beside_another():
