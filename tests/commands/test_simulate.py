@@ -137,9 +137,8 @@ def test_poses_of_grippers_without_markers(recording, theta, tmp_path, capsys):
     np.savez(tmp_path / "seen.npz", vertices_mm=positions[:1])
     time = np.arange(12) / 50.0
     ends = positions[0, -1] + np.stack([-20 * time, 60 * time**2, 0 * time], axis=-1)
-    rows = [f"{t:.2f},{x!r},{y!r},{z!r}" for t, (x, y, z) in zip(time.tolist(), ends.tolist(), strict=True)]
-    (tmp_path / "poses.csv").write_text("\n".join(["time_s,end_x_mm,end_y_mm,end_z_mm", *rows]))
-    poses, more = str(tmp_path / "poses.csv"), ["--theta", str(theta), "--out", str(tmp_path / "f.npz")]
+    np.savez(tmp_path / "poses.npz", time_s=time, end_position_mm=ends)
+    poses, more = str(tmp_path / "poses.npz"), ["--theta", str(theta), "--out", str(tmp_path / "f.npz")]
     assert main(["simulate", poses, *more]) == 2 and "--motion" in capsys.readouterr().err
     command = ["simulate", str(tmp_path / "seen.npz"), "--motion", poses, *more]
     found = made(command)
@@ -147,8 +146,7 @@ def test_poses_of_grippers_without_markers(recording, theta, tmp_path, capsys):
     np.testing.assert_allclose(found["positions_mm"][0, :, -1], ends, atol=1e-6)
     as_before = made(["simulate", poses, "--start", str(tmp_path / "seen.npz"), *more])
     np.testing.assert_array_equal(found["positions_mm"], as_before["positions_mm"])
-    uneven = "\n".join(["time_s,end_x_mm,end_y_mm,end_z_mm", *rows[:3], *rows[4:]])
-    (tmp_path / "poses.csv").write_text(uneven)
+    np.savez(tmp_path / "poses.npz", time_s=np.delete(time, 3), end_position_mm=np.delete(ends, 3, axis=0))
     capsys.readouterr()
     assert main(command) == 2 and "time_s" in capsys.readouterr().err
     np.testing.assert_allclose(made([*command, "--rate", "50"])["positions_mm"][0, :, -1], ends, atol=0.1)

@@ -8,7 +8,7 @@ import numpy as np
 import pyarrow.parquet
 import pytest
 
-from doo_ti import Axis, Grid, InputError, InterruptedRunError, Material, Observations, SweepOptions, distance, relax, sweep
+from doo_ti import Axis, Grid, InputError, Material, Observations, SweepOptions, distance, relax, sweep
 from doo_ti.learning import sweeps
 from doo_ti.learning.experiment import Experiment, relax_cells
 from doo_ti.learning.landscape import read_landscape
@@ -17,7 +17,7 @@ from doo_ti.learning.terms import Pairs, pairs_from_labels
 from doo_ti.motion.path import Motion, carry
 from doo_ti.rod.start import observation_clamps, start_configuration
 from tests.conftest import check_refused
-from tests.learning.lab import DYNAMIC, GRID, small_lab
+from tests.learning.lab import DYNAMIC, GRID, interrupted, small_lab
 
 COLUMNS = {
     "bend_1": "double", "bend_2": "double", "twist": "double", "weight": "double", "observation": "int32",
@@ -72,25 +72,15 @@ def test_written_files(tmp_path, observations):
 
 @pytest.mark.thorough
 @pytest.mark.parametrize(("hint", "last", "error", "kept", "left"), [
-    (True, 3, KeyboardInterrupt(), 2, 6 * 6), (False, 5, MemoryError("no more"), 0, 3 * 6 * (GRID.size - 4))])
+    (True, 2, KeyboardInterrupt(), 2, 6 * 6), (False, 4, MemoryError("no more"), 0, 3 * 6 * (GRID.size - 4))])
 def test_an_interrupted_sweep_resumes_and_ends_the_same(
         tmp_path, observations, small_chunks, monkeypatch, hint, last, error, kept, left):
     """Also while the hypotheses of unknown turns are tried."""
     observations = observations if hint else replace(observations, total_twist=None)
     sweep(tmp_path / "whole", observations, GRID)
-    work, calls = sweeps.relax_hypotheses, []
-
-    def interrupted(*arguments):
-        calls.append(arguments)
-        if len(calls) == last:
-            raise error
-        return work(*arguments)
-
-    monkeypatch.setattr(sweeps, "relax_hypotheses", interrupted)
-    with pytest.raises(InterruptedRunError, match=f"{error}.*doo-ti sweep 'my lab'"):
-        sweep(tmp_path / "run", observations, GRID, command=["doo-ti", "sweep", "my lab"])
+    interrupted(tmp_path / "run", monkeypatch, last, observations, error=error, said=f"{error}.*doo-ti sweep 'my lab'",
+                command=["doo-ti", "sweep", "my lab"])
     assert len(list((tmp_path / "run" / "cells").glob("*.parquet"))) == kept
-    monkeypatch.setattr(sweeps, "relax_hypotheses", work)
     summary = sweep(tmp_path / "run", observations, GRID)
     assert summary["timing"]["relaxed_rods"] == left
     assert_same_cells(tmp_path / "whole", tmp_path / "run")

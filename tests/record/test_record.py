@@ -5,6 +5,7 @@ import os
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -182,20 +183,11 @@ def test_viewing_a_folder_without_recording_is_an_input_error(tmp_path, path):
 def test_viewer_listens_on_this_machine_only_and_reports_nothing(tmp_path, monkeypatch):
     calls = []
 
-    class Viewer:
-        def __init__(self, command, *, env, stderr):
-            calls.append((command, env))
+    def started(command, *, env, stderr):
+        calls.append((command, env))
+        return SimpleNamespace(wait=lambda timeout=None: 0, poll=lambda: 0, terminate=lambda: None)
 
-        def wait(self, timeout=None):
-            return 0
-
-        def poll(self):
-            return 0
-
-        def terminate(self):
-            pass
-
-    monkeypatch.setattr(viewer.subprocess, "Popen", Viewer)
+    monkeypatch.setattr(viewer.subprocess, "Popen", started)
     (tmp_path / "run.rrd").touch()
     viewer.open_viewer(tmp_path)
     ((command, environment),) = calls

@@ -113,6 +113,8 @@ def test_more_than_two_free_axes_show_the_minimum_over_the_others(rng):
     np.testing.assert_array_equal(plane.values, values[0].min(axis=(2, 3)))
     assert plane.minimum == minimum[1:3]
     assert plane.hidden == ("c", "d")
+    index = np.unravel_index(np.arange(values.size), values.shape)
+    np.testing.assert_array_equal(plane.places(index), index[1:3])
     assert plane.best == tuple((axis[0], axis[1][k], "") for axis, k in zip(axes[1:], minimum[1:], strict=True))
     at = np.unravel_index(np.argmin(values[0, 2, 1]), (5, 2))
     assert plane.unfinished[2, 1] == unfinished[0, 2, 1][at]
