@@ -1,8 +1,6 @@
 """Imports: downward only, each heavy library in one module, and no heavy library with the package itself."""
 
 import ast
-import subprocess
-import sys
 import tomllib
 from collections.abc import Iterator
 from functools import cache
@@ -10,7 +8,8 @@ from pathlib import Path
 
 import pytest
 
-ROOT = Path(__file__).resolve().parents[1]
+from tests.processes import ROOT, python
+
 PACKAGE = ROOT / "doo_ti"
 
 # From the bottom up: a module imports from layers below its own, never from beside it.
@@ -131,7 +130,7 @@ def test_importing_costs_nothing_heavy(module):
     """Heavy libraries are imported where they are used: taichi 1 s, rerun 0.5 s."""
     heavy = ["taichi", "rerun", "cv2", "matplotlib", "pyarrow", "dask", "scipy", "jax", "distributed", "trimesh"]
     script = f"import sys, {module}; print([name for name in {heavy} if name in sys.modules])"
-    result = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, cwd=ROOT)
+    result = python("-c", script)
     assert result.returncode == 0, result.stderr
     assert result.stdout.strip() == "[]"
 
@@ -145,7 +144,7 @@ def test_public_names_are_what_they_say():
               "import doo_ti, doo_ti.relaxation.relax, doo_ti.learning.sweeps\n"
               "names = {name: getattr(doo_ti, name) for name in doo_ti.__all__} | {'from': relax, 'import': sweep}\n"
               "print([name for name, value in names.items() if isinstance(value, types.ModuleType)])")
-    result = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, cwd=ROOT)
+    result = python("-c", script)
     assert result.returncode == 0, result.stderr
     assert result.stdout.strip().splitlines()[-1] == "[]"
 

@@ -6,7 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.commands.calls import MATERIAL, good_keys, in_process, npz_bytes, refused
+from tests.commands.calls import MATERIAL, good_keys, npz_bytes, refused
+from tests.processes import python
 
 # ---- files of observations: what only commands refuse; the others: tests/io
 
@@ -125,5 +126,5 @@ def test_outputs_that_may_not_be(capsys, tmp_path, monkeypatch):
     "synth scenes/silk.toml --images absent --rig scenes/rig.yaml --diameter 1e300"])
 def test_no_library_says_anything_beside_the_line(words):
     """In a separate process, with Taichi loaded, whose standard error is captured."""
-    done = in_process(words.split())
+    done = python("-m", "doo_ti", *words.split())
     assert (done.returncode, done.stdout) == (2, "") and done.stderr.count("\n") == 1, done.stderr

@@ -16,8 +16,9 @@ from doo_ti import Clamp, Grid, InterruptedRunError, Status, load_observations, 
 from doo_ti.commands.cli import main
 from doo_ti.learning.landscape import gather_landscape
 from doo_ti.rod.frames import bishop_frames
-from tests.commands.calls import MATERIAL, in_process, made, npz_bytes, refused, succeeded, written
+from tests.commands.calls import MATERIAL, made, npz_bytes, refused, succeeded, written
 from tests.learning.lab import small_lab
+from tests.processes import python
 
 SCENE = """
 name = "silk"
@@ -179,7 +180,7 @@ def test_relax_writes_every_key(capsys, tmp_path):
 @pytest.mark.thorough
 def test_machines_get_nothing_but_json(tmp_path):
     npz_bytes(tmp_path)
-    done = in_process(["relax", str(tmp_path / "good.npz"), *MATERIAL, "--json", "--out", str(tmp_path / "F.npz")])
+    done = python("-m", "doo_ti", "relax", "good.npz", *MATERIAL, "--json", "--out", "F.npz", folder=tmp_path)
     assert done.returncode == 0 and json.loads(done.stdout)["observations"] == 3
 
 

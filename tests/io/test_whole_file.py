@@ -1,8 +1,6 @@
 """Files that are complete or absent: the part files beside them while they are written, and after; and all that write so."""
 
 import os
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -15,8 +13,8 @@ from doo_ti.report.contact import GroupMotion, save_group
 from doo_ti.report.motions import MovingRods, motions_picture, save_animation, save_rollout
 from doo_ti.system.files import whole_file, write_whole
 from tests.first_use import group
+from tests.processes import python
 
-ROOT = Path(__file__).resolve().parents[2]
 NAMES, UP = ["one", "other"], np.array([0.0, 0.0, 1.0])
 RODS = np.cumsum(np.random.default_rng(3).normal(size=(2, 4, 9, 3)) + [3.0, 0, 0], axis=2)
 MOVING = MovingRods(np.arange(4) / 10, RODS.swapaxes(0, 1), NAMES, np.zeros((4, 2)), np.ones((4, 2), dtype=bool))
@@ -64,7 +62,7 @@ def test_what_a_killed_process_left_goes_and_what_another_fills_stays(tmp_path):
     beside.write_bytes(b"another file's")
     script = ("import os, pathlib, sys; from doo_ti.system.files import whole_file\n"
               "with whole_file(pathlib.Path(sys.argv[1])) as file: os.kill(os.getpid(), 9)")
-    subprocess.run([sys.executable, "-c", script, str(path)], env={**os.environ, "PYTHONPATH": str(ROOT)})
+    python("-c", script, path)
     assert len(list(tmp_path.iterdir())) == 2
     with whole_file(path) as file:
         write_whole(path, lambda other: other.write(b"whole"))

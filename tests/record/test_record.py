@@ -1,10 +1,7 @@
 """The recording, read back: entities, timelines and counts as docs/recording.md states them; one that cannot be written, and
 two of one name."""
 
-import os
-import subprocess
 import sys
-from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -18,6 +15,7 @@ from doo_ti.record import viewer
 from doo_ti.record.sweep import record_sweep
 from doo_ti.record.viewer import DESCRIPTORS, FAILED, open_viewer, recording
 from tests.conftest import SEED, check_refused
+from tests.processes import python
 from tests.record import runs
 from tests.record.runs import read
 
@@ -207,7 +205,6 @@ def test_a_viewer_without_a_window_is_an_error(tmp_path, rng, monkeypatch, capfd
     assert capfd.readouterr().err == ""
 
 
-REPOSITORY = Path(__file__).resolve().parents[2]
 LAYOUT = blueprint.Blueprint(blueprint.Spatial3DView())
 # A limit on the size of files stands for a full disk.
 FULL = """
@@ -235,8 +232,7 @@ def logged(stream, value: float) -> None:
 @pytest.mark.thorough
 @pytest.mark.skipif(not DESCRIPTORS.is_dir(), reason="rerun writes by itself here")
 def test_a_full_disk_ends_a_recording_in_one_error(tmp_path):
-    done = subprocess.run([sys.executable, "-c", FULL, str(tmp_path / "run.rrd")], capture_output=True, text=True, timeout=120,
-                          env={**os.environ, "PYTHONPATH": str(REPOSITORY)})
+    done = python("-c", FULL, tmp_path / "run.rrd")
     assert (done.returncode, done.stdout, done.stderr) == (0, f"{tmp_path / 'run.rrd'}\n", "")
     assert list(tmp_path.iterdir()) == []
 
