@@ -26,17 +26,6 @@ def metres(tmp_path):
     return path
 
 
-def test_a_csv_in_metres_with_y_up(tmp_path, metres, capfd):
-    words = ["convert", str(metres), str(tmp_path / "out.npz"), "--unit", "m", "--up", "0,1,0",
-             "--columns", "observation=shot,vertex=marker,x=east,y=height,z=north"]
-    assert main(words) == 0
-    observations = load_observations(tmp_path / "out.npz")
-    np.testing.assert_allclose(observations.vertices, MARKS[..., [0, 2, 1]])
-    np.testing.assert_array_equal(observations.up, [0, 1, 0])
-    printed, length = capfd.readouterr(), f"{observations.rest_length.sum():.4g} mm"
-    assert "2 observations of 4 marks" in printed.out and length in printed.out and printed.err == ""
-
-
 def test_metres_taken_for_millimetres_are_warned_of(tmp_path, metres, capfd):
     assert main(["convert", str(metres), str(tmp_path / "out.npz"), "--columns",
                  "observation=shot,vertex=marker,x=east,y=height,z=north"]) == 0

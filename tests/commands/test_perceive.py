@@ -199,13 +199,10 @@ def test_wrong_options_are_reported(photographed, tmp_path, capsys, change, word
 
 def test_wrong_images_are_reported(photographed, tmp_path, capsys):
     folder, rods = photographed
-    blank, small, broken = (str(tmp_path / name) for name in ("blank.png", "small.png", "broken.png"))
+    blank = str(tmp_path / "blank.png")
     cv2.imwrite(blank, np.full((480, 640), 150, dtype=np.uint8))
-    cv2.imwrite(small, np.full((100, 100), 150, dtype=np.uint8))
-    (tmp_path / "broken.png").write_bytes(b"no image")
     argv = of_images(folder, rods[0], "--out", str(tmp_path / "new" / "f.npz"))
-    for image, words in ((blank, ("blank.png", "no thread was found")), (small, ("small.png", "100 x 100")),
-                         (broken, ("broken.png", "image")), ("missing.png", ("missing.png", "no such file"))):
+    for image, words in ((blank, ("blank.png", "no thread was found")), ("missing.png", ("missing.png", "no such file"))):
         refused(capsys, tmp_path, [*argv[:2], image, *argv[3:]], *words)
     refused(capsys, tmp_path, [*argv[:2], *argv[3:]], "2 images", "3 cameras", "cam0, cam1, cam2")
     refused(capsys, tmp_path, [word for word in argv if not word.endswith("png")], "IMAGE", "missing")

@@ -25,7 +25,7 @@ def small_lab() -> Observations:
 
 
 def interrupted(run: Path, monkeypatch, chunks: int, observations: Observations | None = None, *,
-                error: BaseException = KeyboardInterrupt(), said: str = "", **options) -> Path:
+                error: BaseException = KeyboardInterrupt(), said: str | None = None, **options) -> Path:
     """A sweep that an error ends after so many chunks of three cells of six rods, with a message that holds ``said``."""
     work, calls = sweeps.relax_hypotheses, []
 

@@ -80,16 +80,6 @@ def test_outliers_are_found_and_left_out(rng, cameras):
     assert np.isnan(found.position[wrong[~named]]).all() and np.isnan(found.covariance[wrong[~named]]).all()
 
 
-def test_two_labels_that_contradict_each_other(rng):
-    rig, _, pixels = seen(rng, 3, Rig(around().cameras[:2]))
-    pixels[0, 1] += [0, 30]
-    found = triangulate(rig, pixels, SURE)
-    assert found.status.tolist() == [MarkStatus.TRIANGULATED, MarkStatus.CONTRADICTORY, MarkStatus.TRIANGULATED]
-    assert (found.residual[:, 1] > 5).all() and not found.used[:, 1].any() and np.isnan(found.position[1]).all()
-    tolerant = triangulate(rig, pixels, TriangulationOptions(sigma_px=NOISE, threshold=500))
-    assert tolerant.valid.all()
-
-
 def test_few_views_and_parallel_rays(rng):
     rig, points, pixels = seen(rng, 4)
     pixels[1:, 0] = np.nan
