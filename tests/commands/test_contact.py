@@ -95,7 +95,8 @@ def folder(tmp_path_factory):
 def test_relax_writes_forces_and_gaps_and_counts_infeasible_rods(folder, tmp_path, capsys):
     words = ["relax", str(folder / "rods.npz"), *MATERIAL, "--obstacles", str(folder / "table.toml"), "--radius", "2"]
     found = made([*words, "--out", str(tmp_path / "f.npz")])
-    assert "contact     2 of 4 rods touch an obstacle; smallest gap " in (printed := capsys.readouterr().out)
+    printed, warned = capsys.readouterr()
+    assert "inside an obstacle" in warned and "contact     2 of 4 rods touch an obstacle; smallest gap " in printed
     assert "mm; 1 infeasible" in printed and "3 converged, 1 infeasible" in printed
     assert "infeasible  the c" in printed and "mm inside a Plane" in printed
     assert found["contact_force"].shape == (4, 11, 3) and found["status"].tolist() == [0, 0, 4, 0]

@@ -231,16 +231,3 @@ def test_plane_is_upright_along_the_rods(up, rng):
     assert np.linalg.det(basis) > 0
     if up == (0, 0, 1):
         assert right[0] > 0.99
-
-
-def test_one_observation_stays_where_it_is(rng):
-    vertices = runs.observations(rng)[2:3] + 100.0
-    sheet = grid_view(Observed(vertices))
-    assert (sheet.offset == 0).all()
-    assert sheet.headings == []
-
-
-def test_names_say_number_and_labels(rng):
-    vertices = runs.observations(rng)
-    assert Observed(vertices, LABELS).names[1] == "observation 1: 30 mm 0°"
-    assert Observed(vertices[:2]).names == ["observation 0", "observation 1"]
