@@ -135,20 +135,6 @@ def test_importing_costs_nothing_heavy(module):
     assert result.stdout.strip() == "[]"
 
 
-@pytest.mark.thorough
-def test_public_names_are_what_they_say():
-    """As the first lines of the documentation import them: objects, not the modules of the same name, in any order."""
-    script = ("import types\n"
-              "from doo_ti import *\n"
-              "from doo_ti import relax, sweep, distance, Newton\n"
-              "import doo_ti, doo_ti.relaxation.relax, doo_ti.learning.sweeps\n"
-              "names = {name: getattr(doo_ti, name) for name in doo_ti.__all__} | {'from': relax, 'import': sweep}\n"
-              "print([name for name, value in names.items() if isinstance(value, types.ModuleType)])")
-    result = python("-c", script)
-    assert result.returncode == 0, result.stderr
-    assert result.stdout.strip().splitlines()[-1] == "[]"
-
-
 def test_every_room_is_installed():
     """The packages that pyproject.toml names are the folders with modules, and the scenes."""
     named = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["setuptools"]["packages"]
