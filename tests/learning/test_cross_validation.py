@@ -75,7 +75,9 @@ def test_loops_choose_the_same_cells_ties_and_gaps_included(rng, case):
 
     landscapes = [static("a", distances(6)), static("b", distances(5)), dynamic("a", distances(len(PAIRS)), PAIRS),
                   static("one", rng.integers(4, 12, (9, 1)) / 8), static("none", distances(1))]
-    assert_as_by_loops(scores(*landscapes), list(map(whole, landscapes)))
+    found = scores(*landscapes)
+    assert_as_by_loops(found, list(map(whole, landscapes)))
+    assert found.best[-1] == -1, "nothing chooses a cell"
 
 
 def test_loops_choose_the_same_cells_of_real_numbers_and_few_cells_at_a_time(rng, monkeypatch):
