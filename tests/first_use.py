@@ -6,8 +6,9 @@
 import sys
 import tempfile
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import fields, is_dataclass
-from threading import Barrier, Thread
+from threading import Barrier
 
 import numpy as np
 
@@ -121,20 +122,17 @@ def numbers(value: object) -> list[np.ndarray]:
 
 
 def main(name: str, count: int) -> str:
-    call, together, found = CALLS[name](), Barrier(count), []
+    call, together = CALLS[name](), Barrier(count)
 
-    def work() -> None:
+    def work(_: int) -> list[np.ndarray] | str:
         together.wait()
         try:
-            found.append(numbers(call()))
-        except BaseException as error:  # a thread would only print it
-            found.append(f"{type(error).__name__}: {error}")
+            return numbers(call())
+        except BaseException as error:
+            return f"{type(error).__name__}: {error}"
 
-    threads = [Thread(target=work) for _ in range(count)]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join()
+    with ThreadPoolExecutor(count) as threads:
+        found = list(threads.map(work, range(count)))
     wrong = [one for one in found if isinstance(one, str)]
     if wrong:
         return f"{len(wrong)} of {count}: {wrong[0]}"

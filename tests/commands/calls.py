@@ -1,7 +1,5 @@
-"""Calls of commands: small inputs, in a process of its own, and the checks that they succeed or refuse."""
+"""Calls of commands: small inputs, and the checks that they succeed or refuse."""
 
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -32,12 +30,6 @@ def written(path: Path) -> dict[str, np.ndarray]:
     """The arrays of an npz."""
     with np.load(path, allow_pickle=False) as file:
         return dict(file)
-
-
-def in_process(words: list[str]) -> subprocess.CompletedProcess:
-    """A command in a process of its own."""
-    return subprocess.run([sys.executable, "-m", "doo_ti", *words], cwd=Path(__file__).resolve().parents[2],
-                          capture_output=True, text=True, encoding="utf-8")
 
 
 def tree(folder: Path) -> dict[str, bytes | None]:

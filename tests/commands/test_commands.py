@@ -16,8 +16,9 @@ from doo_ti import Clamp, Grid, InterruptedRunError, Status, load_observations, 
 from doo_ti.commands.cli import main
 from doo_ti.learning.landscape import gather_landscape
 from doo_ti.rod.frames import bishop_frames
-from tests.commands.calls import MATERIAL, in_process, made, npz_bytes, refused, succeeded, written
+from tests.commands.calls import MATERIAL, made, npz_bytes, refused, succeeded, written
 from tests.learning.lab import small_lab
+from tests.processes import python
 
 SCENE = """
 name = "silk"
@@ -124,31 +125,25 @@ def test_sweep_of_a_scene_and_what_overrides_it(capsys, tmp_path, swept):
 def test_view_opens_the_recording(tmp_path, monkeypatch):
     opened = []
 
-    def open_viewer(path):
-        opened.append(path)
+    def open_viewer(path, *more):
+        opened.append(path.name)
         if path.name == "broken":
             raise InterruptedRunError("no window")
 
-    def otherwise(path, *more):
-        opened.append(path)
-
     monkeypatch.setitem(sys.modules, "doo_ti.record.viewer", types.SimpleNamespace(
-        open_viewer=open_viewer, save_screenshot=otherwise, serve_viewer=otherwise))
+        **dict.fromkeys(("open_viewer", "save_screenshot", "serve_viewer"), open_viewer)))
     monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
     monkeypatch.setenv("DISPLAY", ":0")
-    for name, code in (("run", 0), ("broken", 1)):
-        (tmp_path / name).mkdir()
-        assert main(["view", str(tmp_path / name)]) == code
-    assert [path.name for path in opened] == ["run", "broken"]
+    monkeypatch.chdir(tmp_path)
+    for name in ("run", "broken"):
+        Path(name).mkdir()
+    Path("good.npz").write_bytes(b"")
+    for words, code in (("run", 0), ("broken", 1), ("run --web", 0), ("run --screenshot new/f.png", 0),
+                        ("run --screenshot f.jpg", 2), ("run --web --screenshot f.png", 2), ("good.npz", 2)):
+        assert main(["view", *words.split()]) == code
+    assert opened == ["run", "broken", "run", "run"]
     monkeypatch.delenv("DISPLAY")
-    assert main(["view", str(tmp_path / "run")]) == (1 if sys.platform == "linux" else 0)
-    opened.clear()
-    for more, code in ((["--web"], 0), (["--screenshot", str(tmp_path / "new" / "f.png")], 0), (["--screenshot", "f.jpg"], 2),
-                       (["--web", "--screenshot", "f.png"], 2)):
-        assert main(["view", str(tmp_path / "run"), *more]) == code
-    assert len(opened) == 2
-    (tmp_path / "good.npz").write_bytes(b"")
-    assert main(["view", str(tmp_path / "good.npz")]) == 2
+    assert main(["view", "run"]) == (1 if sys.platform == "linux" else 0)
 
 
 @pytest.mark.parametrize("command, work, way", [
@@ -185,7 +180,7 @@ def test_relax_writes_every_key(capsys, tmp_path):
 @pytest.mark.thorough
 def test_machines_get_nothing_but_json(tmp_path):
     npz_bytes(tmp_path)
-    done = in_process(["relax", str(tmp_path / "good.npz"), *MATERIAL, "--json", "--out", str(tmp_path / "F.npz")])
+    done = python("-m", "doo_ti", "relax", "good.npz", *MATERIAL, "--json", "--out", "F.npz", folder=tmp_path)
     assert done.returncode == 0 and json.loads(done.stdout)["observations"] == 3
 
 

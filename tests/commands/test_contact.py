@@ -95,7 +95,8 @@ def folder(tmp_path_factory):
 def test_relax_writes_forces_and_gaps_and_counts_infeasible_rods(folder, tmp_path, capsys):
     words = ["relax", str(folder / "rods.npz"), *MATERIAL, "--obstacles", str(folder / "table.toml"), "--radius", "2"]
     found = made([*words, "--out", str(tmp_path / "f.npz")])
-    assert "contact     2 of 4 rods touch an obstacle; smallest gap " in (printed := capsys.readouterr().out)
+    printed, warned = capsys.readouterr()
+    assert "inside an obstacle" in warned and "contact     2 of 4 rods touch an obstacle; smallest gap " in printed
     assert "mm; 1 infeasible" in printed and "3 converged, 1 infeasible" in printed
     assert "infeasible  the c" in printed and "mm inside a Plane" in printed
     assert found["contact_force"].shape == (4, 11, 3) and found["status"].tolist() == [0, 0, 4, 0]
@@ -104,12 +105,6 @@ def test_relax_writes_forces_and_gaps_and_counts_infeasible_rods(folder, tmp_pat
     assert abs(found["smallest_gap_mm"][0]) < 5e-4 and found["smallest_gap_mm"][1] > 10
     summary = json.loads(succeeded(capsys, [*words, "--out", str(tmp_path / "f.npz"), "--json"]))["contact"]
     assert summary["touching"] == 2 and summary["infeasible"] == 1 and abs(summary["smallest_gap_mm"]) < 5e-4
-
-
-def test_a_radius_above_the_length_of_an_edge_is_allowed(folder, tmp_path):
-    words = ["relax", str(folder / "rods.npz"), *MATERIAL, "--obstacles", str(folder / "table.toml"), "--radius", "15"]
-    found = made([*words, "--out", str(tmp_path / "f.npz")])
-    assert found["status"].tolist() == [4, 0, 4, 4]  # clamps 10 mm above the table are too low
 
 
 @pytest.mark.parametrize("table", ["table.toml", pytest.param("rough.toml", marks=pytest.mark.slow)])
@@ -153,38 +148,3 @@ def test_wrong_options_are_refused_in_one_line(folder, capsys, monkeypatch, comm
     words, message = REFUSED[case]
     monkeypatch.chdir(folder)
     refused(capsys, folder, [command, *COMMANDS[command], *words], message)
-
-
-KNOT = """
-rate_hz = 20
-duration_s = 0.25
-quasi_static = true
-[rod]
-length_mm = 130.0
-edges = 45
-radius_mm = 0.8
-at_rest = true
-knot_loop_mm = 10.0
-[materials.suture]
-bend = 6e5
-weight = 0.0
-density = 1.0
-[clamps]
-start = "tangent"
-end = "tangent"
-[[obstacles]]
-kind = "itself"
-friction = 0.1
-[[moments]]
-time_s = 0.25
-start_position_mm = [-2.0, 0, 0]
-"""
-
-
-@pytest.mark.parametrize(("old", "new", "words"), [
-    ("radius_mm = 0.8", "", "rod.radius_mm: missing"), ("length_mm = 130.0", "length_mm = 60.0", "rod.length_mm: 60 mm"),
-    ("friction = 0.1", "friction = -0.1", "friction"), ("friction = 0.1", "radius = 1", "radius"),
-    ("start_position_mm = [-2.0, 0, 0]", 'start_turns = "two"', "start_turns")])
-def test_wrong_scenes_are_one_line(old, new, words, tmp_path, capsys):
-    (tmp_path / "knot.toml").write_text(KNOT.replace(old, new))
-    refused(capsys, tmp_path, ["simulate", str(tmp_path / "knot.toml"), "--out", str(tmp_path / "k.npz")], words)

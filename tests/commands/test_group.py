@@ -126,9 +126,3 @@ def test_what_is_done_before_an_interruption_stays(scene, tmp_path, capsys, monk
 def test_wrong_input_is_one_line(scene, tmp_path, capsys, monkeypatch, words, said):
     monkeypatch.chdir(tmp_path)
     refused(capsys, tmp_path, ["group", str(scene), *words], said)
-
-
-def test_a_rod_that_nothing_holds_is_one_line(scene, tmp_path, capsys):
-    scene.write_text(SCENE.replace('start = "frame"', ""))
-    refused(capsys, tmp_path, ["group", str(scene), "--out", str(tmp_path / "f.npz")],
-            "scene.toml: clamps: rod 0 has weight and nothing holds it")

@@ -16,8 +16,8 @@ import pytest
 from doo_ti.io.observation_files import save_observations
 from doo_ti.system import terminal
 from tests.learning.lab import small_lab
+from tests.processes import ROOT, python
 
-ROOT = Path(__file__).resolve().parents[2]
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="sends signals as a terminal does")
 
 # Ctrl-C comes while the command line is imported.
@@ -63,8 +63,7 @@ except BaseException:
 
 
 def run_script(script: str, folder: Path) -> subprocess.CompletedProcess:
-    return subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, cwd=folder,
-                          env={**os.environ, "PYTHONPATH": f"{ROOT}{os.pathsep}{folder}"})
+    return python("-c", script, folder=folder, PYTHONPATH=f"{ROOT}{os.pathsep}{folder}")
 
 
 def started(folder: Path, line: str) -> subprocess.Popen:

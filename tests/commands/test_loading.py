@@ -14,6 +14,7 @@ from doo_ti.commands.doubts import apart_doubt, length_doubt, order_doubt, repea
 from doo_ti.commands.loading import stated
 from doo_ti.commands.results import hypotheses_lines
 from doo_ti.io.observation_files import read_recording
+from doo_ti.rod.frames import arc_lengths
 from tests.commands.calls import refused, succeeded, written
 from tests.io.test_formats import MARKS, motive, table
 
@@ -24,17 +25,6 @@ def metres(tmp_path):
     path = tmp_path / "cable.csv"
     path.write_text(table(MARKS[..., [0, 2, 1]] / 1000, "shot,marker,east,height,north"))
     return path
-
-
-def test_a_csv_in_metres_with_y_up(tmp_path, metres, capfd):
-    words = ["convert", str(metres), str(tmp_path / "out.npz"), "--unit", "m", "--up", "0,1,0",
-             "--columns", "observation=shot,vertex=marker,x=east,y=height,z=north"]
-    assert main(words) == 0
-    observations = load_observations(tmp_path / "out.npz")
-    np.testing.assert_allclose(observations.vertices, MARKS[..., [0, 2, 1]])
-    np.testing.assert_array_equal(observations.up, [0, 1, 0])
-    printed, length = capfd.readouterr(), f"{observations.rest_length.sum():.4g} mm"
-    assert "2 observations of 4 marks" in printed.out and length in printed.out and printed.err == ""
 
 
 def test_metres_taken_for_millimetres_are_warned_of(tmp_path, metres, capfd):
@@ -224,46 +214,21 @@ def test_results_as_csv(tmp_path, shipped_data):
     np.testing.assert_allclose(angles["total_twist_deg"], found["twist"]["total_twist_deg"])
 
 
-POLE = """
-[[obstacles]]
-kind = "capsule"
-start = [0, -50, 20]
-end = [0, 50, 20]
-radius = 4
-"""
-
-
-@pytest.fixture
-def marks(tmp_path):
-    """A file of a catenary-like curve with 11 marks, one of them missing, and the curve at many places."""
+def test_a_finer_mesh_lies_on_the_curve_through_the_marks(tmp_path, capsys):
+    """A catenary-like curve with eleven marks, one of them missing."""
     curve = np.stack([np.linspace(-100, 100, 2001), np.zeros(2001), 0.002 * np.linspace(-100, 100, 2001) ** 2], axis=-1)
-    arc = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(curve, axis=0), axis=1))])
-    rows = np.searchsorted(arc, np.linspace(0, arc[-1], 11)[:-1].tolist() + [arc[-1]]).clip(0, 2000)
-    vertices = curve[rows].copy()
+    arc = arc_lengths(curve)
+    rows = np.searchsorted(arc, np.linspace(0, arc[-1], 11)).clip(0, 2000)
+    vertices = curve[rows]
     vertices[4] = np.nan
-    np.savez(tmp_path / "marks.npz", vertices_mm=vertices[None], rest_length_mm=np.diff(arc[rows]))
-    return tmp_path / "marks.npz", curve
-
-
-def test_a_finer_mesh_lies_on_the_curve_through_the_marks(marks, tmp_path, capsys):
-    source, curve = marks
-    assert "61 vertices" in succeeded(capsys, ["convert", str(source), str(tmp_path / "fine.npz"), "--edges", "60"])
+    source = str(tmp_path / "marks.npz")
+    np.savez(source, vertices_mm=vertices[None], rest_length_mm=np.diff(arc[rows]))
+    assert "61 vertices" in succeeded(capsys, ["convert", source, str(tmp_path / "fine.npz"), "--edges", "60"])
     fine = load_observations(tmp_path / "fine.npz")
     assert fine.edges == 60 and fine.valid.all() and np.ptp(fine.rest_length) < 1e-9
     assert np.linalg.norm(fine.vertices[0][:, None] - curve, axis=-1).min(axis=1).max() < 1.0
-    assert main(["convert", str(source), str(tmp_path / "no.npz"), "--edges", "1"]) == 2
-    assert main(["convert", str(source), str(tmp_path / "no.npz"), "--edges", "9", "--motion"]) == 2
-
-
-def test_marks_too_far_apart_for_a_thin_pole_are_warned_of(marks, tmp_path, capsys):
-    source, _ = marks
-    (tmp_path / "pole.toml").write_text(POLE)
-    words = ["--bend", "1e5", "--obstacles", str(tmp_path / "pole.toml"), "--radius", "1", "--out", str(tmp_path / "out.npz")]
-    assert main(["relax", str(source), *words]) == 0
-    assert "convert IN OUT --edges" in capsys.readouterr().err
-    main(["convert", str(source), str(tmp_path / "fine.npz"), "--edges", "42"])
-    assert main(["relax", str(tmp_path / "fine.npz"), *words]) == 0
-    assert "convert" not in capsys.readouterr().err
+    assert main(["convert", source, str(tmp_path / "no.npz"), "--edges", "1"]) == 2
+    assert main(["convert", source, str(tmp_path / "no.npz"), "--edges", "9", "--motion"]) == 2
 
 
 @pytest.fixture

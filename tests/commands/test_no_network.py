@@ -19,6 +19,7 @@ from doo_ti.io.observation_files import save_observations
 from tests.commands.test_cameras import TEXT, pictures, prepared, rows_of  # noqa: F401  a fixture
 from tests.io.rods import wavy_vertices
 from tests.learning.lab import small_lab
+from tests.processes import ROOT, python
 
 # System call number of socket(2), and the number of the architecture that a seccomp filter receives.
 SOCKET = {"x86_64": (41, 0xC000003E), "aarch64": (198, 0xC00000B7)}
@@ -50,7 +51,6 @@ if __name__ == "__main__":
         assert main(words.split()) == 0
 """
 MATERIAL = "--bend 4e5 --twist 4e5"
-ROOT = Path(__file__).resolve().parents[2]
 
 
 def guarded(script: str, *arguments: str, folder: Path) -> subprocess.CompletedProcess:
@@ -58,10 +58,7 @@ def guarded(script: str, *arguments: str, folder: Path) -> subprocess.CompletedP
     source = folder / "guarded.py"
     source.write_text(GUARD.replace("NUMBERS", repr(SOCKET[platform.machine()])) + script)
     kernels = Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache")) / "taichi" / "ticache"
-    environment = {**os.environ, "XDG_CACHE_HOME": str(folder / "cache"), "TI_OFFLINE_CACHE_FILE_PATH": str(kernels),
-                   "PYTHONPATH": str(ROOT)}
-    return subprocess.run([sys.executable, str(source), *arguments], capture_output=True, text=True, cwd=folder,
-                          env=environment)
+    return python(source, *arguments, folder=folder, XDG_CACHE_HOME=folder / "cache", TI_OFFLINE_CACHE_FILE_PATH=kernels)
 
 
 def open_no_socket(words: list[str], folder: Path) -> None:

@@ -43,8 +43,8 @@ def test_what_is_measured_is_not_ranked(scene, capsys):
 
 
 @pytest.mark.parametrize("words, option", [
-    (["--sigma", "0"], "--sigma"), (["--measured", "9"], "--measured"), (["--measured", "1,1"], "--measured"),
-    (["--bend", "1e6", "--twist", "1e6"], "single cell"),
+    (["--sigma", "0"], "--sigma"), (["--sigma", "1e-300"], "sigma"), (["--measured", "9"], "--measured"),
+    (["--measured", "1,1"], "--measured"), (["--bend", "1e6", "--twist", "1e6"], "single cell"),
     (["--weight", "1:2:2"], "ratios")])
 def test_wrong_input_is_one_line(scene, tmp_path, capsys, words, option):
     refused(capsys, tmp_path, ["plan", scene, *words, "--out", str(tmp_path / "plan")], option)

@@ -7,17 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from doo_ti import (
-    Clamp,
-    Material,
-    Observations,
-    hanging,
-    load_observations,
-    observation_clamps,
-    relax,
-    save_observations,
-    start_configuration,
-)
+import doo_ti as d
 from doo_ti.commands.cli import main
 from doo_ti.commands.results import force_lines, plain
 from doo_ti.dynamics.theta import MotionTheta, load_theta, save_form
@@ -32,9 +22,9 @@ SCENES = Path(__file__).resolve().parents[2] / "scenes" / "motion"
 @pytest.fixture
 def folder(tmp_path):
     """Two rods at rest, with and without their frames, and motions."""
-    shape = at_rest(bows(0.6, 0.9, edges=20, rest_length=5.0), Material(6e5, 1e5))
-    save_observations(tmp_path / "seen.npz", observed(shape))
-    save_observations(tmp_path / "bare.npz", Observations(shape.vertices, rest_length=np.full(20, 5.0)))
+    shape = at_rest(bows(0.6, 0.9, edges=20, rest_length=5.0), d.Material(6e5, 1e5))
+    d.save_observations(tmp_path / "seen.npz", observed(shape))
+    d.save_observations(tmp_path / "bare.npz", d.Observations(shape.vertices, rest_length=np.full(20, 5.0)))
     ends = shape.vertices[:1, -1] + np.linspace(0, 1, 3)[:, None] * [-6.0, 2.0, 0]
     np.savez(tmp_path / "move.npz", end_position_mm=ends, time_s=[0.0, 1.0, 3.0])
     (tmp_path / "turn.csv").write_text("time_s,end_rotation_deg\n0,0\n2,840\n", encoding="utf-8")
@@ -74,8 +64,8 @@ def log_of(poses, turn: np.ndarray, scale: float) -> str:
 
 def test_logs_of_robots(folder):
     """In another unit, with y up, and grippers of other names: the same motion as in the keys of a motion file."""
-    seen = load_observations(folder / "seen.npz").take([0])
-    save_observations(folder / "one.npz", seen)
+    seen = d.load_observations(folder / "seen.npz").take([0])
+    d.save_observations(folder / "one.npz", seen)
     poses = dict(np.load(folder / "frames.npz"))
     poses |= {f"{end}_position_mm": np.repeat(seen.vertices[:, k], 2, axis=0) for end, k in (("start", 0), ("end", -1))}
     np.savez(folder / "poses.npz", **poses, time_s=[0.0, 0.5])
@@ -108,15 +98,15 @@ def test_materials_and_starts_at_once(folder, capsys):
 @pytest.mark.parametrize("command", ["relax", "predict"])
 def test_a_stiffer_material_twists_no_rod(folder, command):
     """A hanging cable under a stiffer material is off by 1.2340 mm with a turn of twist, by 1.2403 mm without."""
-    rod, clamps = hanging(330.0, 33, (0, 0, 0), (210, 0, 0), clamp=Clamp.FRAME)
-    shape = relax(rod, Material(4e5, 4e5), clamps).configuration
-    save_observations(folder / "cable.npz", Observations(shape.vertices, rest_length=np.full(33, 10.0),
+    rod, clamps = d.hanging(330.0, 33, (0, 0, 0), (210, 0, 0), clamp=d.Clamp.FRAME)
+    shape = d.relax(rod, d.Material(4e5, 4e5), clamps).configuration
+    d.save_observations(folder / "cable.npz", d.Observations(shape.vertices, rest_length=np.full(33, 10.0),
                                                          start_frame=shape.frames[:, 0], end_frame=shape.frames[:, -1]))
     np.savez(folder / "held.npz", end_position_mm=np.tile(shape.vertices[:, -1], (2, 1)))
     motion = ["--motion", str(folder / "held.npz")] * (command == "predict")
     stiff = ["--bend", "4e7", "--twist", "4e7"]
     found = made([command, str(folder / "cable.npz"), *motion, *stiff, "--out", str(folder / "f.npz")])
-    untwisted = relax(shape, Material(4e7, 4e7), clamps).energy
+    untwisted = d.relax(shape, d.Material(4e7, 4e7), clamps).energy
     np.testing.assert_allclose(np.reshape(found["energy"], -1), untwisted[0], rtol=1e-6)
 
 
@@ -239,10 +229,10 @@ def test_rest_curvature_of_a_theta(folder, capsys):
     command = ["relax", str(folder / "seen.npz"), "--theta", str(theta_file(folder)), "--out", str(folder / "r.npz")]
     found = made(command)
     assert "rest curvature are used" in capsys.readouterr().err
-    seen = load_observations(folder / "seen.npz")
-    clamps = observation_clamps(seen)
+    seen = d.load_observations(folder / "seen.npz")
+    clamps = d.observation_clamps(seen)
     theta = load_theta(folder / "theta.json")
-    expected = relax(start_configuration(seen, clamps), Material(6e5, 1e5, 1.0, theta.rest_curvature[None]), clamps)
+    expected = d.relax(d.start_configuration(seen, clamps), d.Material(6e5, 1e5, 1.0, theta.rest_curvature[None]), clamps)
     np.testing.assert_allclose(found["vertices_mm"], expected.configuration.vertices, atol=1e-9)
     refused(capsys, folder, [*command[:3], str(theta_file(folder, 130.0)), *command[4:]], "rest_length_mm")
 

@@ -126,24 +126,13 @@ def test_a_run_s_best_cells(observed, tmp_path, capsys):
     refused(capsys, tmp_path, ["refine", str(run), "--bend", "1e4"], "--bend")
 
 
-@pytest.mark.thorough
-def test_rods_that_one_end_holds(observed, capsys):
-    argv = ["refine", str(observed), "--bend", "4e4", "--twist", "2e4", "--no-models", "--rest-curvature", "none",
-            "--clamp-start", "free", "--parameters", "bend", "--json"]
-    assert main(argv) in (0, 1)
-    assert "Traceback" not in capsys.readouterr().err
-
-
 @pytest.mark.parametrize("more, message", [
     ([], "--EI: missing"),
     (["--bend", "1e4:1e5:3"], "refine the run of a sweep"),
-    (["--bend", "1e4", "--parameters", "bent"], "'bent' is unknown"),
     (["--EI", "1e-6:1e-5:3", "--linear-density", "1"], "--EI: a grid of 3 cells"),
     (["--bend", "1e4,2e4"], "give bend_1 and bend_2"),
     (["--bend", "1e4", "--folds", "1"], "--folds: 1 is below 2"),
     (["--bend", "1e4", "--folds", "30"], "give 2 to 16 folds"),
-    (["--bend", "1e4", "--clip", "20"], "below a quarter"),
-    (["--bend", "1e4", "--frame-weight", "3"], "a frame weight is given"),
     (["--bend", "1e4", "--out", "found.txt"], "ends in .json")])
 def test_wrong_input_is_reported_in_a_line_and_nothing_is_written(observed, tmp_path, capsys, monkeypatch, more, message):
     monkeypatch.chdir(tmp_path)

@@ -12,15 +12,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from doo_ti import Axis, Grid, InterruptedRunError, SweepOptions, read_landscape, sweep
+from doo_ti import Axis, Grid, SweepOptions, read_landscape, sweep
 from doo_ti.commands import runs as finished
 from doo_ti.commands.cli import main
 from doo_ti.io.scene import Synthesis
 from doo_ti.lab.synthesis import synthesise
-from doo_ti.learning import sweeps
 from tests.commands.calls import refused, succeeded
 from tests.commands.test_commands import write_run
-from tests.learning.lab import DYNAMIC, GRID, dynamic, grid_of, small_lab, static
+from tests.learning.lab import DYNAMIC, dynamic, grid_of, interrupted, small_lab, static
 from tests.record.runs import read
 
 LABELS = np.repeat([30.0, 54.0, 78.0], 6)
@@ -219,24 +218,6 @@ def test_a_failure_on_the_way_keeps_finished_files(one_run, tmp_path, capsys, mo
     assert main(["figures", str(one_run / "silk"), "--out", str(tmp_path / "out")]) == 1
     assert "the disk is full" in capsys.readouterr().err.splitlines()[-1]
     assert names(tmp_path / "out") == ["landscapes.png"]
-
-
-def interrupted(run, monkeypatch, chunks: int, observations=None, **options):
-    """A sweep with a given number of stored chunks."""
-    work, calls = sweeps.relax_hypotheses, []
-
-    def stopping(*arguments):
-        calls.append(arguments)
-        if len(calls) > chunks:
-            raise KeyboardInterrupt
-        return work(*arguments)
-
-    with monkeypatch.context() as patched:
-        patched.setattr(sweeps, "CHUNK_BYTES", 18 * 32 * 33)  # three cells of six rods
-        patched.setattr(sweeps, "relax_hypotheses", stopping)
-        with pytest.raises(InterruptedRunError):
-            sweep(run, small_lab() if observations is None else observations, GRID, **options)
-    return run
 
 
 def content(folder) -> dict:

@@ -3,6 +3,7 @@
 import pickle
 import re
 import warnings
+import zipfile
 from dataclasses import replace
 
 import numpy as np
@@ -126,6 +127,7 @@ WRONG = {
     "up zero": ("up", lambda v: 0 * v, "no direction"),
     "sigma negative": ("sigma_mm", lambda v: -v, "-0."),
     "sigma misshapen": ("sigma_mm", lambda v: v[0], "shape (9,)"),
+    "end distance negative": ("end_distance_mm", lambda v: v - 40, "-10 mm"),
     "end rotation not finite": ("end_rotation_deg", lambda v: v + np.inf, "at [0]")}
 
 
@@ -139,9 +141,13 @@ def test_wrong_keys_are_named(tmp_path, rng, case):
     check_refused("^" + re.escape(f"{path}: {key}: ") + ".*" + re.escape(problem), load_observations, path)
 
 
-def test_missing_key_is_named(tmp_path):
+def test_missing_and_misspelt_keys_are_named(tmp_path, rng):
+    """Other commands' files hold more keys than observations have, but end_frme is a misspelling."""
     np.savez(tmp_path / "bad.npz", vertices=np.zeros((1, 3, 3)))
     check_refused("vertices_mm: ", load_observations, tmp_path / "bad.npz")
+    keys = full_keys(rng)
+    np.savez(tmp_path / "bad.npz", end_frme=keys.pop("end_frame"), **keys)
+    check_refused("end_frme: .*; name it end_frame", load_observations, tmp_path / "bad.npz")
 
 
 def test_nan_is_a_missing_mark(rng, tmp_path):
@@ -192,8 +198,22 @@ def test_files_that_are_no_npz(tmp_path, rng):
     objects = tmp_path / "objects.npz"
     np.savez(objects, vertices_mm=np.array([[1], [1, 2]], dtype=object))
     contents = {"empty.npz": b"", "truncated.npz": content[: len(content) // 2], "text.npz": b"vertices", "x.dat": b"1 2 3",
+                "text.parquet": b"0 0 0\n1 1 1\n", "two.csv": b"0 0 0\n1 1 1\n",
                 "pickled.npz": pickle.dumps({"vertices_mm": [1.0]}), "objects.npz": objects.read_bytes(),
                 "bare.npz": (tmp_path / "bare.npy").read_bytes()}
     for name, data in contents.items():
         (tmp_path / name).write_bytes(data)
         check_refused(f"{name}: .*{'suffix' if name == 'x.dat' else ''}", load_observations, tmp_path / name)
+
+
+@pytest.mark.parametrize(("member", "content"), [
+    ("vertices_mm.npy", b""),  # beside another of that name
+    ("sigma_mm.npy", b"\x93NUMPY\x01\x00\x10\x00{'descr': '<f8', ")])  # a header that is never closed
+def test_an_npz_of_wrong_members(tmp_path, rng, member, content):
+    keys = full_keys(rng)
+    del keys["sigma_mm"]
+    np.savez(tmp_path / "x.npz", **keys)
+    with warnings.catch_warnings(), zipfile.ZipFile(tmp_path / "x.npz", "a") as archive:
+        warnings.simplefilter("ignore")  # that a name is there twice
+        archive.writestr(member, content)
+    check_refused(member.removesuffix(".npy"), load_observations, tmp_path / "x.npz")

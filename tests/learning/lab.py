@@ -5,10 +5,12 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
+import pytest
 
-from doo_ti import Axis, Grid, Landscape, Material, Observations, Status
+from doo_ti import Axis, Grid, InterruptedRunError, Landscape, Material, Observations, Status, sweep
 from doo_ti.io.scene import Synthesis
 from doo_ti.lab.synthesis import synthesise
+from doo_ti.learning import sweeps
 from doo_ti.learning.experiment import Experiment, SweepOptions
 from tests.relaxation.rods import lab
 
@@ -20,6 +22,25 @@ DYNAMIC = SweepOptions(objective="dynamic")
 def small_lab() -> Observations:
     """Two end distances, end rotations of 0, 60 and 120 degrees."""
     return synthesise(Synthesis(bend=4e5, twist=4e5, end_distances_mm=(42.0, 66.0), end_rotations_deg=(0.0, 60.0, 120.0)))
+
+
+def interrupted(run: Path, monkeypatch, chunks: int, observations: Observations | None = None, *,
+                error: BaseException = KeyboardInterrupt(), said: str | None = None, **options) -> Path:
+    """A sweep that an error ends after so many chunks of three cells of six rods, with a message that holds ``said``."""
+    work, calls = sweeps.relax_hypotheses, []
+
+    def stopping(*arguments):
+        calls.append(arguments)
+        if len(calls) > chunks:
+            raise error
+        return work(*arguments)
+
+    with monkeypatch.context() as patched:
+        patched.setattr(sweeps, "CHUNK_BYTES", 18 * 32 * 33)
+        patched.setattr(sweeps, "relax_hypotheses", stopping)
+        with pytest.raises(InterruptedRunError, match=said):
+            sweep(run, small_lab() if observations is None else observations, GRID, **options)
+    return run
 
 
 def lab_rods(folder: Path, name: str, **options) -> tuple[Experiment, Material]:

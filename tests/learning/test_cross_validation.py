@@ -63,7 +63,8 @@ def assert_as_by_loops(found, parts):
 @pytest.mark.sampled(4)
 @pytest.mark.parametrize("case", range(20))
 def test_loops_choose_the_same_cells_ties_and_gaps_included(rng, case):
-    """Distances in eighths tie often; one in twelve is missing, one term everywhere, another but in one cell."""
+    """Distances in eighths tie often; one in twelve is missing, one term everywhere. Of one part a single term is known, of
+    another none."""
     rng = np.random.default_rng(rng.integers(2**32) + case)
 
     def distances(count):
@@ -72,8 +73,11 @@ def test_loops_choose_the_same_cells_ties_and_gaps_included(rng, case):
         values[:, rng.integers(count)] = np.nan
         return values
 
-    landscapes = [static("a", distances(6)), static("b", distances(5)), dynamic("a", distances(len(PAIRS)), PAIRS)]
-    assert_as_by_loops(scores(*landscapes), list(map(whole, landscapes)))
+    landscapes = [static("a", distances(6)), static("b", distances(5)), dynamic("a", distances(len(PAIRS)), PAIRS),
+                  static("one", rng.integers(4, 12, (9, 1)) / 8), static("none", distances(1))]
+    found = scores(*landscapes)
+    assert_as_by_loops(found, list(map(whole, landscapes)))
+    assert found.best[-1] == -1, "nothing chooses a cell"
 
 
 def test_loops_choose_the_same_cells_of_real_numbers_and_few_cells_at_a_time(rng, monkeypatch):
@@ -97,39 +101,12 @@ def test_weights_of_pairs_count_in_training_and_in_the_score(rng):
         np.testing.assert_allclose(other.standard_error, scores(landscape).standard_error)
 
 
-def test_what_a_pair_leaves_out():
-    """Each training pair has its own best cell; the tested pair (0, 1) leaves those of other observations only."""
-    pairs = [(0, 1), (1, 0), (0, 2), (3, 1), (2, 3)]
-    distance = np.where(np.eye(5, dtype=bool), 0.0, [[4.0, 4.0, 4.0, 4.0, 1.0]] * 5)
-    part = whole(dynamic("a", distance, pairs))
-    assert chosen_cells(part, np.array([[0, 1]])).tolist() == [4]
-    static_part = whole(static("a", np.array([[0.0, 0.0, 9.0, 9.0], [5.0, 5.0, 1.0, 1.0]])))
-    assert chosen_cells(static_part, np.array([[0, 1], [2, 2], [-1, -1]])).tolist() == [1, 0, 1]
-
-
 def test_the_order_of_terms_does_not_break_ties(rng):
     """Two cells hold the same distances in another order: their sums are the same, so the first of them is chosen."""
     half = rng.uniform(0, 1, 60)
     distance = np.stack([half + 1, half, half[rng.permutation(60)], half[::-1]])
     part = whole(static("a", distance))
     assert chosen_cells(part, np.array([[-1, -1]])).tolist() == [1]
-
-
-def test_nothing_is_left_to_train_on():
-    found = scores(static("a", np.ones((3, 1))), static("b", np.full((3, 2), np.nan)), static("c", np.ones((3, 2))))
-    assert found.count.tolist() == [[0, 0, 1], [0, 0, 0], [1, 0, 2]]
-    assert found.left_out.tolist() == [[1, 2, 1], [1, 2, 2], [0, 2, 0]]
-    assert found.best.tolist() == [0, -1, 0]
-    np.testing.assert_array_equal(np.isnan(found.mean), found.count == 0)
-    np.testing.assert_array_equal(np.isnan(found.standard_error), found.count < 2)
-
-
-def test_rods_that_are_no_certified_minima_are_counted():
-    good = static("a", np.array([[1.0, 1.0, 1.0], [2.0, 2.0, 2.0]]))
-    status = good.status.copy()
-    status[0, 1] = Status.STALLED
-    unsure = replace(good, name="b", status=status, stable=np.array([[True, True, False], [False] * 3]))
-    assert scores(good, unsure).uncertified.tolist() == [[0, 2], [0, 2]]
 
 
 def test_rods_that_fell_to_another_branch_are_counted():

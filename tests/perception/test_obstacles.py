@@ -4,11 +4,9 @@ table."""
 import numpy as np
 import pytest
 
-from doo_ti import PerceptionOptions, Plane, Surroundings, TwistOptions, TwistVerdict, end_clamps, perceive, relax, straight_rod
+from doo_ti import PerceptionOptions, Plane, Surroundings, end_clamps, perceive, relax, straight_rod
 from doo_ti.commands.cli import main
 from doo_ti.io.observation_files import save_observations
-from doo_ti.perception.twist import estimate_twist
-from doo_ti.perception.twist_curves import end_offsets
 from doo_ti.rod.types import Clamp, Material, Status
 from doo_ti.vision.tubes import smooth_curve
 from tests.commands.calls import refused, written
@@ -53,29 +51,14 @@ def test_seeds_inside_obstacles_are_refused():
                       surroundings=table)
 
 
-@pytest.fixture(scope="module")
-def rope():
-    """Observations, their material, one group, and τ from the known end frames: then φ is zero."""
+@pytest.mark.thorough
+def test_twist_is_found_with_the_table(tmp_path, capsys):
+    """Of a rope that lies on it: eight observations share an angle, which is zero as their end frames are known."""
     observations, truth = table_study.specimen(2014)
-    group = np.zeros(observations.count, dtype=int)
-    return observations, Material(truth["bend"], truth["twist"]), group, end_offsets(observations, group)
-
-
-@pytest.mark.thorough
-def test_with_the_table_the_twist_is_found_and_without_it_not(rope):
-    found = estimate_twist(*rope, TwistOptions(surroundings=table_study.TABLE))
-    without = estimate_twist(*rope)
-    assert abs(found.phi[0]) < np.radians(10.0) and found.unsound.sum() == 0
-    assert without.verdict == [TwistVerdict.AT_BORDER] and without.least[0] > 10 * found.least[0]
-
-
-@pytest.mark.thorough
-def test_the_command_takes_the_table(rope, tmp_path, capsys):
-    observations, material, _, _ = rope
     save_observations(tmp_path / "rope.npz", observations)
     (tmp_path / "table.toml").write_text('[[obstacles]]\nkind = "plane"\npoint = [0, 0, 0]\nnormal = [0, 0, 1]\n')
-    words = ["twist", str(tmp_path / "rope.npz"), "--observations", "8", "--bend", f"{material.bend.flat[0]}", "--twist",
-             f"{material.twist.flat[0]}", "--obstacles", str(tmp_path / "table.toml"), "--out", str(tmp_path / "twist.npz")]
+    words = ["twist", str(tmp_path / "rope.npz"), "--observations", "8", "--bend", f"{truth['bend']}", "--twist",
+             f"{truth['twist']}", "--obstacles", str(tmp_path / "table.toml"), "--out", str(tmp_path / "twist.npz")]
     assert main([*words, "--radius", "2"]) == 0
     assert abs(written(tmp_path / "twist.npz")["phi_deg"][0]) < 10.0
     capsys.readouterr()

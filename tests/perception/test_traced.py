@@ -7,19 +7,7 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from doo_ti import (
-    Camera,
-    Detection,
-    InputError,
-    Material,
-    PerceptionOptions,
-    PerceptionVerdict,
-    Rig,
-    detect,
-    distance_maps,
-    load_rig,
-    perceive,
-)
+import doo_ti as d
 from doo_ti.perception.matching import Match, best_matches, curve_of, likely_matches
 from doo_ti.perception.posterior import detected_places, line_trees, lines_at, vertex_sigma
 from doo_ti.perception.seeds import Seed, fit_better, seed_from_pixels, whole_threads
@@ -32,16 +20,16 @@ from doo_ti.vision.triangulation import rays
 from tests.vision.scenes import line_of
 from tools.studies.angle_study import EDGES, LENGTH_MM, apart, cameras, curve, dense, detection
 
-MATERIAL, UP = Material(6e5, 8e5), np.array([0.0, 0.0, 1.0])
+MATERIAL, UP = d.Material(6e5, 8e5), np.array([0.0, 0.0, 1.0])
 PAIRS = Path(__file__).resolve().parents[3] / "shared" / "data" / "suture_stereo" / "rendered"
 
 
-def views(rig: Rig, points: np.ndarray, noise: float, rng: np.random.Generator) -> list[Detection]:
+def views(rig: d.Rig, points: np.ndarray, noise: float, rng: np.random.Generator) -> list[d.Detection]:
     """What each camera detects of a curve (N, 3) mm."""
     return [detection(camera, points, noise, rng) for camera in rig.cameras]
 
 
-def begun(rig: Rig, images: list[Detection], points: np.ndarray) -> Seed:
+def begun(rig: d.Rig, images: list[d.Detection], points: np.ndarray) -> Seed:
     """Where a rod begins by a click on the first of ``points`` in the first image."""
     return seed_from_pixels(rig, images, {0: rig.cameras[0].project(points[0])}, "test")
 
@@ -59,8 +47,8 @@ def recovered(seen, length: float = LENGTH_MM, evidence: str = "both"):
     start = np.array([points[0] for points in curves])
     direction = np.array([points[60] - points[0] for points in curves])
     rest_length = np.full(EDGES, length / EDGES)
-    return perceive(distance_maps(detections), rig, start, direction, rest_length, MATERIAL, up=UP,
-                    options=PerceptionOptions(evidence=evidence))
+    return d.perceive(d.distance_maps(detections), rig, start, direction, rest_length, MATERIAL, up=UP,
+                    options=d.PerceptionOptions(evidence=evidence))
 
 
 def errors(found, curves, share: float = 1.0) -> np.ndarray:
@@ -87,7 +75,7 @@ def test_where_a_thread_runs_along_its_epipolar_lines_the_rod_is_on_it():
     arches = [points * LENGTH_MM / curve_length(points) for points in arches]
     found = recovered((rig, arches, [views(rig, points, 0.05, rng) for points in arches]))
     off = [cKDTree(dense(points)).query(rod)[0][:-3].max() for points, rod in zip(arches, found.vertices, strict=True)]
-    assert max(off) < 0.2 and (found.verdict == PerceptionVerdict.CLEAR).all()
+    assert max(off) < 0.2 and (found.verdict == d.PerceptionVerdict.CLEAR).all()
 
 
 def test_lines_at_places_of_a_bend_are_on_it():
@@ -102,7 +90,7 @@ def test_lines_at_places_of_a_bend_are_on_it():
 def test_depth_stays_in_bounds_where_images_say_nothing_of_it():
     """Where both images are the same, without disparity, the curve would be infinitely far away."""
     rig = cameras(10.0, third=False)
-    same = Rig((rig.cameras[0], replace(rig.cameras[0], name="beside", translation=rig.cameras[0].translation + [6.0, 0, 0])))
+    same = d.Rig((rig.cameras[0], replace(rig.cameras[0], name="beside", translation=rig.cameras[0].translation + [6.0, 0, 0])))
     place = np.arange(0.0, 300.0)
     path = ImagePath(np.stack([500 + place, 400 + 0.5 * place], axis=1), np.ones(300, dtype=bool), 0.0, 1.0)
     start = rig.cameras[0].centre + 300.0 * rays(rig.cameras[0], path.points[:1])[0]
@@ -118,7 +106,7 @@ def test_a_rod_that_leaves_a_piece_of_the_thread_out_is_not_clear(seen):
     images = [[with_more(detections[0][0], piece, np.array([0.6, 0.8])), detections[0][1]]]
     found, whole = (recovered((rig, curves[:1], some)) for some in (images, detections[:1]))
     assert found.coverage.min() > 0.95 and errors(found, curves[:1])[0] < 0.6
-    assert (found.verdict[0], whole.verdict[0]) == (PerceptionVerdict.AMBIGUOUS, PerceptionVerdict.CLEAR)
+    assert (found.verdict[0], whole.verdict[0]) == (d.PerceptionVerdict.AMBIGUOUS, d.PerceptionVerdict.CLEAR)
     assert whole.skipped.max() < 1 and 15 < found.skipped[0, 0] * images[0][0].width_px < 40 and found.skipped[0, 1] == 0
 
 
@@ -138,38 +126,25 @@ def test_a_rod_of_another_length_lies_where_the_thread_is(seen, share):
     found = recovered(seen, share * LENGTH_MM)
     error = errors(found, seen[1], share)
     assert (error < 0.8).all() and (np.abs(found.thread_length / LENGTH_MM - 1) < 0.03).all()
-    assert not (found.verdict == PerceptionVerdict.CLEAR).any()
+    assert not (found.verdict == d.PerceptionVerdict.CLEAR).any()
     assert (np.abs(found.left_over - max(0.0, 1 - share) * LENGTH_MM) < 0.03 * LENGTH_MM).all()
 
 
-@pytest.mark.thorough
-def test_a_click_begins_a_thread_of_unknown_length(seen):
-    rig, curves, detections = seen
-    for points, images in zip(curves, detections, strict=True):
-        click = rig.cameras[0].project(points[:1])[0] + [3.0, -4.0]
-        start = seed_from_pixels(rig, images, {0: click}, "test").point
-        whole = whole_threads(rig, [images], start[None], None, MATERIAL, UP)
-        assert np.linalg.norm(start - points[0]) < 3.0
-        assert abs(whole.length[0] / LENGTH_MM - 1) < 0.03
-        assert whole.range[0, 0] <= whole.length[0] <= whole.range[0, 1] < 1.1 * LENGTH_MM
-    with pytest.raises(InputError, match="--seed-pixel: 5,5: nothing was detected there"):
-        seed_from_pixels(rig, images, {0: (5.0, 5.0)}, "test")
+def arch(height: float) -> np.ndarray:
+    """(N, 3) mm: level, both ends on one epipolar line: a thread as far away as the rays of opposite ends meet looks alike."""
+    s = np.linspace(-1, 1, 2001)
+    return np.stack([40 * s, -height * (1 - s**2), 8 * np.sin(1.5 * s)], axis=1)
 
 
 @pytest.mark.parametrize(("angle", "height"), [(10.0, 10.0), (15.0, 25.0), (30.0, 10.0)])
 def test_a_level_arch_does_not_begin_at_its_other_end(angle, height, rng):
-    """Both ends lie on one epipolar line: a thread as far away as the rays of opposite ends meet looks the same."""
-    rig, s = cameras(angle, third=False), np.linspace(-1, 1, 2001)
-    points = np.stack([40 * s, -height * (1 - s**2), 8 * np.sin(1.5 * s)], axis=1)
-    images = views(rig, points, 0.2, rng)
-    start = begun(rig, images, points).point
-    assert np.linalg.norm(start - points[0]) < 1.0
+    rig, points = cameras(angle, third=False), arch(height)
+    assert np.linalg.norm(begun(rig, views(rig, points, 0.2, rng), points).point - points[0]) < 1.0
 
 
 def test_a_thread_begins_near_where_it_did_a_moment_before(rng):
-    """Also where the rays of opposite ends meet, of a level arch."""
-    rig, s = cameras(30.0, third=False), np.linspace(-1, 1, 2001)
-    points = np.stack([40 * s, -10 * (1 - s**2), 8 * np.sin(1.5 * s)], axis=1)
+    """Also where the rays of opposite ends meet."""
+    rig, points = cameras(30.0, third=False), arch(10.0)
     first, second = rig.cameras
     rays = np.stack([points[0] - first.centre, second.centre - points[-1]], axis=1)
     along = np.linalg.lstsq(rays, second.centre - first.centre, rcond=None)[0][0] * rays[:, 0]
@@ -184,8 +159,7 @@ def test_a_thread_begins_where_the_rays_of_its_ends_meet(angle, turn, rng):
     """It begins along the epipolar lines, where the curve does not say how far away it is."""
     rig, t = cameras(angle, third=False), np.linspace(0, 1, 2001)
     points = np.stack([70 * t - 35, 30 * t**3 - 10, 15 * np.sin(4 * t + turn)], axis=1)
-    images = views(rig, points, 0.3, rng)
-    seed = begun(rig, images, points)
+    seed = begun(rig, views(rig, points, 0.3, rng), points)
     assert np.linalg.norm(seed.point - points[0]) < min(1.5, 3 * seed.sigma) and seed.sigma < 1.5
 
 
@@ -197,7 +171,7 @@ def with_more(found, points: np.ndarray, tangent: np.ndarray):
 def test_a_loop_is_passed_the_same_way_in_all_images():
     """Of a round loop before parallel cameras, passed the other way round in one image, all points fit together."""
     lens = np.array([[1000.0, 0, 500], [0, 1000, 500], [0, 0, 1]])
-    rig = Rig(tuple(Camera(name, 1000, 1000, lens, np.zeros(5), np.eye(3), [-shift, 0, 0])
+    rig = d.Rig(tuple(d.Camera(name, 1000, 1000, lens, np.zeros(5), np.eye(3), [-shift, 0, 0])
                     for name, shift in (("a", 0), ("b", 5))))
     turn, t = np.linspace(0, 2 * np.pi, 400), np.linspace(0, 1, 300)
     loop = np.stack([8 * np.sin(turn), 8 * np.cos(turn), 0 * turn + 100], axis=1)
@@ -222,7 +196,7 @@ def test_a_rig_whose_poses_mean_something_else_fits_worse(rng):
     """Poses from cameras to the world that are read as those from the world to cameras."""
     rig, points = cameras(40.0, third=False), curve(np.random.default_rng(7))
     images = views(rig, points, 0.2, rng)
-    misread = Rig(tuple(replace(view, rotation=view.rotation.T, translation=view.centre) for view in rig.cameras))
+    misread = d.Rig(tuple(replace(view, rotation=view.rotation.T, translation=view.centre) for view in rig.cameras))
     click = {0: rig.cameras[0].project(points[:1])[0]}
     assert fit_better(misread, {"right": rig, "same": misread}, images, click) == ["right"]
     assert fit_better(rig, {"misread": misread}, images, click) == []
@@ -241,7 +215,7 @@ def test_an_end_of_something_else_is_not_where_the_rod_begins(rng):
     far = rig.cameras[2].project((rig.cameras[0].centre + 1.5 * ray)[None])[0]
     images[2] = with_more(images[2], far + np.arange(40)[:, None] * [0.6, 0.8], np.array([0.6, 0.8]))
     click = {0: rig.cameras[0].project(points[:1])[0]}
-    for rig, images in ((Rig(rig.cameras[:2]), images[:2]), (rig, images)):
+    for rig, images in ((d.Rig(rig.cameras[:2]), images[:2]), (rig, images)):
         seed = seed_from_pixels(rig, images, click, "test")
         assert np.linalg.norm(seed.point - points[0]) < 3 * seed.sigma < 4.0
 
@@ -254,8 +228,9 @@ def test_a_camera_from_which_a_part_is_hidden_does_not_cost_it(rng):
     seed = begun(rig, images, points).point[None]
     thread = whole_threads(rig, [images], seed, None, MATERIAL, UP)
     assert abs(thread.length[0] / LENGTH_MM - 1) < 0.02
-    found = perceive(distance_maps([images]), rig, seed, thread.direction, np.full(EDGES, thread.length[0] / EDGES), MATERIAL)
-    assert errors(found, [points])[0] < 0.3 and found.verdict[0] == PerceptionVerdict.CLEAR
+    lengths = np.full(EDGES, thread.length[0] / EDGES)
+    found = d.perceive(d.distance_maps([images]), rig, seed, thread.direction, lengths, MATERIAL)
+    assert errors(found, [points])[0] < 0.3 and found.verdict[0] == d.PerceptionVerdict.CLEAR
     assert 0.2 < found.hidden[0, 2] < 0.4 and (found.hidden[0, :2] == 0).all()
 
 
@@ -269,8 +244,8 @@ def test_where_a_rod_is_clear_the_range_of_its_length_holds_the_thread_s(rng):
         start = begun(rig, images, points).point
         whole = whole_threads(rig, [images], start[None], None, MATERIAL, UP)
         lengths = np.full(EDGES, whole.length[0] / EDGES)
-        found = perceive(distance_maps([images]), rig, start[None], whole.direction, lengths, MATERIAL)
-        if replace(found, length_range=whole.range).verdict[0] == PerceptionVerdict.CLEAR:
+        found = d.perceive(d.distance_maps([images]), rig, start[None], whole.direction, lengths, MATERIAL)
+        if replace(found, length_range=whole.range).verdict[0] == d.PerceptionVerdict.CLEAR:
             clear += 1
             assert whole.range[0, 0] <= LENGTH_MM <= whole.range[0, 1] < 1.06 * LENGTH_MM
             assert abs(whole.length[0] / LENGTH_MM - 1) < 0.03 and errors(found, [points])[0] < 0.3
@@ -295,12 +270,12 @@ def test_stereo_pairs_that_others_rendered(group):
     """Baselines of 1 and 5 mm at a distance of a decimetre; curves that no rod made."""
     with np.load(PAIRS / "truth.npz") as file:
         truth = dict(file)
-    sets = load_sets(PAIRS / f"sets{group}.csv", load_rig(PAIRS / f"rig{group}.yaml"))
+    sets = load_sets(PAIRS / f"sets{group}.csv", d.load_rig(PAIRS / f"rig{group}.yaml"))
     curves = [truth[f"curve_mm_{name}"] for name in sets.names]
-    detections = [[detect(read_image(path, camera)) for path, camera in zip(paths, sets.rig.cameras, strict=True)]
+    detections = [[d.detect(read_image(path, camera)) for path, camera in zip(paths, sets.rig.cameras, strict=True)]
                   for paths in sets.paths]
     lengths = np.full(33, curve_length(curves[0]) / 33)
-    found = perceive(distance_maps(detections), sets.rig, sets.point, sets.direction, lengths, MATERIAL)
+    found = d.perceive(d.distance_maps(detections), sets.rig, sets.point, sets.direction, lengths, MATERIAL)
     error = errors(found, curves)
     assert (error < 3.0).all() and np.median(error) < 1.5 and not ((found.verdict == 0) & (error > 2.0)).any()
 

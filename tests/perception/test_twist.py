@@ -30,31 +30,6 @@ def about_tangent(angle) -> np.ndarray:
     return Rotation.from_rotvec(np.multiply.outer(angle, [1.0, 0, 0])).as_matrix()
 
 
-def test_one_configuration_gives_its_total_twist(made):
-    """φ is the total twist, whole turns included, whatever the file says of end frames and twist."""
-    estimate = estimate_twist(made, MATERIAL)
-    print("errors in degrees:", np.degrees(estimate.phi - made.total_twist).round(2))
-    assert (np.abs(estimate.phi - made.total_twist) < np.radians(1.0)).all()
-    assert (estimate.verdict == TwistVerdict.CLEAR).all() and estimate.unsound.sum() == 0
-    assert ((estimate.low <= estimate.phi) & (estimate.phi <= estimate.high)).all()
-    np.testing.assert_allclose(estimate.total_twist, estimate.phi)
-    # Nothing but vertices, as perception gives them: a round rod's twist does not depend on its first frame.
-    bare = estimate_twist(Observations(made.vertices, rest_length=made.rest_length), MATERIAL)
-    assert (np.abs(bare.phi - made.total_twist) < np.radians(1.5)).all()
-
-
-def test_a_hidden_turn_of_the_gripper_is_found(made):
-    """End frames that are all turned by the same angle: that angle, negative, is φ, and φ + τ the twist of each."""
-    hidden = np.radians(-75.0)
-    known = replace(made, end_frame=made.end_frame @ about_tangent(hidden), total_twist=made.total_twist + hidden)
-    group = np.zeros(made.count, dtype=int)
-    offset = end_offsets(known, group)
-    np.testing.assert_allclose(offset, made.total_twist + hidden, atol=1e-6)
-    estimate = estimate_twist(known, MATERIAL, group, offset)
-    assert estimate.phi == pytest.approx([-hidden], abs=np.radians(1.0))
-    np.testing.assert_allclose(estimate.total_twist, made.total_twist, atol=np.radians(1.0))
-
-
 def test_the_curve_is_eq_4(made):
     """Sample by sample against F called the way an observation's own hypotheses are: another start, another clamp code."""
     options = TwistOptions(step=np.pi / 2, span=np.pi, precision="f64")
@@ -177,8 +152,4 @@ def test_the_intervals_contain_the_truth(world):
                 truth = (seen.total_twist - offset)[::together]
                 covered.setdefault(together, []).append((found.low <= truth) & (truth <= found.high))
                 wrong.append((np.abs(found.phi - truth) > np.radians(60))[found.verdict == TwistVerdict.CLEAR])
-    shares = {together: np.concatenate(rods).mean() for together, rods in covered.items()}
-    wrong = np.concatenate(wrong)
-    print(f"{world}: contained", {together: f"{share:.3f}" for together, share in shares.items()},
-          f"of {len(wrong)} clear ones {wrong.sum()} are off by more than 60°")
-    assert min(shares.values()) > 0.9 and wrong.mean() < 0.02
+    assert min(np.concatenate(rods).mean() for rods in covered.values()) > 0.9 and np.concatenate(wrong).mean() < 0.02

@@ -1,14 +1,13 @@
 """Without rerun, which is large, everything but recordings works: they are left out in a line, or refused where asked for."""
 
 import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 
 from tests.commands.test_synth import SCENE
+from tests.processes import python
 
-ROOT = Path(__file__).resolve().parents[2]
 WITHOUT = """
 import importlib.metadata as metadata, sys
 installed = metadata.version
@@ -18,14 +17,13 @@ def version(package):
     return installed(package)
 metadata.version = version
 sys.modules["rerun"] = None
-sys.path.insert(0, sys.argv.pop(1))
 from doo_ti.commands.cli import main
 sys.exit(main(sys.argv[1:]))
 """
 
 
 def without_rerun(folder: Path, *words: str) -> subprocess.CompletedProcess:
-    return subprocess.run([sys.executable, "-c", WITHOUT, str(ROOT), *words], capture_output=True, text=True, cwd=folder)
+    return python("-c", WITHOUT, *words, folder=folder)
 
 
 @pytest.mark.thorough

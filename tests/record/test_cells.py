@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from doo_ti import InputError, Observed
+from doo_ti import Observed
 from doo_ti.record.sweep import CellsOfRun, Rods, record_cells
 from doo_ti.record.viewer import FAILED
 from doo_ti.report.canvas import distance_colors
@@ -90,15 +90,3 @@ def test_a_rod_that_is_nan_is_not_drawn(tmp_path, rng):
     expected = np.full((CELLS, runs.OBSERVATIONS), runs.VERTICES)
     expected[2, 4] = 0
     np.testing.assert_array_equal(counts, expected)
-
-
-def test_nothing_stays_of_a_recording_that_failed(tmp_path, rng):
-    given = figure(rng)
-
-    def failing():
-        yield given["rods"][0]
-        raise InputError("a", "b", "c", "d")
-
-    with pytest.raises(InputError):
-        record_cells(tmp_path / "cells.rrd", **given | {"rods": failing()})
-    assert not list(tmp_path.iterdir())

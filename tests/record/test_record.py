@@ -1,10 +1,8 @@
 """The recording, read back: entities, timelines and counts as docs/recording.md states them; one that cannot be written, and
 two of one name."""
 
-import os
-import subprocess
 import sys
-from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -17,6 +15,7 @@ from doo_ti.record import viewer
 from doo_ti.record.sweep import record_sweep
 from doo_ti.record.viewer import DESCRIPTORS, FAILED, open_viewer, recording
 from tests.conftest import SEED, check_refused
+from tests.processes import python
 from tests.record import runs
 from tests.record.runs import read
 
@@ -182,20 +181,11 @@ def test_viewing_a_folder_without_recording_is_an_input_error(tmp_path, path):
 def test_viewer_listens_on_this_machine_only_and_reports_nothing(tmp_path, monkeypatch):
     calls = []
 
-    class Viewer:
-        def __init__(self, command, *, env, stderr):
-            calls.append((command, env))
+    def started(command, *, env, stderr):
+        calls.append((command, env))
+        return SimpleNamespace(wait=lambda timeout=None: 0, poll=lambda: 0, terminate=lambda: None)
 
-        def wait(self, timeout=None):
-            return 0
-
-        def poll(self):
-            return 0
-
-        def terminate(self):
-            pass
-
-    monkeypatch.setattr(viewer.subprocess, "Popen", Viewer)
+    monkeypatch.setattr(viewer.subprocess, "Popen", started)
     (tmp_path / "run.rrd").touch()
     viewer.open_viewer(tmp_path)
     ((command, environment),) = calls
@@ -215,7 +205,6 @@ def test_a_viewer_without_a_window_is_an_error(tmp_path, rng, monkeypatch, capfd
     assert capfd.readouterr().err == ""
 
 
-REPOSITORY = Path(__file__).resolve().parents[2]
 LAYOUT = blueprint.Blueprint(blueprint.Spatial3DView())
 # A limit on the size of files stands for a full disk.
 FULL = """
@@ -243,8 +232,7 @@ def logged(stream, value: float) -> None:
 @pytest.mark.thorough
 @pytest.mark.skipif(not DESCRIPTORS.is_dir(), reason="rerun writes by itself here")
 def test_a_full_disk_ends_a_recording_in_one_error(tmp_path):
-    done = subprocess.run([sys.executable, "-c", FULL, str(tmp_path / "run.rrd")], capture_output=True, text=True, timeout=120,
-                          env={**os.environ, "PYTHONPATH": str(REPOSITORY)})
+    done = python("-c", FULL, tmp_path / "run.rrd")
     assert (done.returncode, done.stdout, done.stderr) == (0, f"{tmp_path / 'run.rrd'}\n", "")
     assert list(tmp_path.iterdir()) == []
 

@@ -44,15 +44,17 @@ def hanging(span: float, places: np.ndarray, stiffness: float = EI, rise: float 
     return 1000 * found.sol(places)[:2].T
 
 
+def across(shape: np.ndarray, turn: float) -> np.ndarray:
+    """(…, 3) of (…, 2) along and up, in the vertical plane at that angle, rad."""
+    along, up = shape[..., 0], shape[..., 1]
+    return np.stack([along * np.cos(turn), along * np.sin(turn), up], axis=-1)
+
+
 @pytest.fixture(scope="module", params=[2, 5])
 def marks(request, tmp_path_factory) -> str:
-    rng, lines = np.random.default_rng(request.param), ["observation,vertex,x,y,z"]
-    for row, span in enumerate(SPANS):
-        for mark, (along, up) in enumerate(hanging(span, np.linspace(0, LENGTH, 21))):
-            x, y, z = np.array([along, 0.0, up]) + NOISE * rng.normal(size=3)
-            lines.append(f"{row},{mark},{x},{y},{z}")
-    path = tmp_path_factory.mktemp("marks") / "marks.csv"
-    path.write_text("\n".join(lines))
+    rng, path = np.random.default_rng(request.param), tmp_path_factory.mktemp("marks") / "marks.npz"
+    shapes = np.array([hanging(span, np.linspace(0, LENGTH, 21)) for span in SPANS])
+    np.savez(path, vertices_mm=across(shapes, 0.0) + NOISE * rng.normal(size=(*shapes.shape[:2], 3)))
     return str(path)
 
 
@@ -74,7 +76,7 @@ def test_bend_alone_from_a_sweep_holds_the_truth(marks, tmp_path):
 
 def is_minimum(shape: np.ndarray) -> bool:
     """Whether a cable stays in that equilibrium."""
-    seen = Observations(np.stack([shape[:, 0], 0 * shape[:, 0], shape[:, 1]], axis=-1)[None])
+    seen = Observations(across(shape, 0.0)[None])
     clamps = observation_clamps(seen)
     material = Material.from_physical(SOFT, SOFT, GRAMS_PER_METRE * 9.81e-3)
     rest = relax(start_configuration(seen, clamps), material, clamps)
@@ -84,23 +86,18 @@ def is_minimum(shape: np.ndarray) -> bool:
 @pytest.fixture(scope="module")
 def precise(tmp_path_factory) -> str:
     """Nine unlike poses in planes of any direction, whose marks have little noise and end before the clips do."""
-    rng, lines = np.random.default_rng(PRECISE_SEED), ["observation,vertex,x,y,z"]
-    places, row = np.linspace(0.03, LENGTH - 0.03, 15), 0
-    while row < 9:
+    rng, path, poses = np.random.default_rng(PRECISE_SEED), tmp_path_factory.mktemp("precise") / "marks.npz", []
+    places = np.linspace(0.03, LENGTH - 0.03, 15)
+    while len(poses) < 9:
         span, rise = rng.uniform(0.4, 0.75) * LENGTH, rng.uniform(-0.15, 0.15) * LENGTH
         tilts, turn = (rng.uniform(-1.0, -0.3), rng.uniform(0.3, 1.0)), rng.uniform(-np.pi, np.pi)
         try:
             shape = hanging(span, places, SOFT, rise, tilts)
         except AssertionError:  # scipy has not found this one: take another
             continue
-        if not is_minimum(shape):
-            continue
-        for mark, (along, up) in enumerate(shape):
-            x, y, z = np.array([along * np.cos(turn), along * np.sin(turn), up]) + 0.1 * rng.normal(size=3)
-            lines.append(f"{row},{mark},{x},{y},{z}")
-        row += 1
-    path = tmp_path_factory.mktemp("precise") / "marks.csv"
-    path.write_text("\n".join(lines))
+        if is_minimum(shape):
+            poses.append(across(shape, turn) + 0.1 * rng.normal(size=(len(places), 3)))
+    np.savez(path, vertices_mm=poses)
     return str(path)
 
 

@@ -1,7 +1,6 @@
-"""Ropes that lie on a table: with the table their parameters are found, without it not."""
+"""Ropes that lie on a table, whose parameters are found with the table."""
 
 import json
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,43 +8,19 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import fsolve
 from scipy.spatial.transform import Rotation
 
-from doo_ti import (
-    Axis,
-    Clamp,
-    Grid,
-    InputError,
-    Observations,
-    Plane,
-    RefinementOptions,
-    Surroundings,
-    Theta,
-    refine,
-    save_observations,
-)
+import doo_ti as d
 from doo_ti.commands.cli import main
 from doo_ti.refinement.plan import plan
 from doo_ti.rod.start import observation_clamps
 from tests.commands.calls import refused, succeeded
-from tests.refinement.rods_between_clips import TRUTH, suture
-from tools.studies.table_study import GUESS, TABLE, specimen
+from tools.studies.table_study import TABLE, specimen
 
-SIMPLE = RefinementOptions(curvature="none", clamps="exact")
 TABLE_FILE = '[[obstacles]]\nkind = "plane"\npoint = [0, 0, 0]\nnormal = [0, 0, 1]\n'
 
 
 @pytest.fixture(scope="module")
 def rope():
     return specimen(2012)
-
-
-@pytest.mark.thorough
-def test_the_intervals_contain_the_truth(rope):
-    observations, truth = rope
-    found = refine(observations, observation_clamps(observations), GUESS, replace(SIMPLE, surroundings=TABLE))
-    assert found.converged and found.used.all() and found.mean_distance < 0.2
-    for name, value in truth.items():
-        parameter = found.estimate.parameter(name)
-        assert parameter.low < value < parameter.high < 1.4 * parameter.low
 
 
 def lifted(rigidity: float, height: float, angle: float, marks: int, length: float) -> np.ndarray:
@@ -77,25 +52,18 @@ def test_ropes_that_somebody_lifts_at_one_end(seed):
     while len(marks) < 8:
         rope = lifted(bend / 2, random.uniform(40, 120), random.uniform(-0.1, 0.5), 31, length)
         marks.append(Rotation.from_euler("z", random.uniform(0, 2 * np.pi)).apply(rope) + (0, 0, radius))
-    seen = Observations(np.array(marks) + random.normal(0, 0.3, (8, 31, 3)))
-    options = RefinementOptions(surroundings=Surroundings([Plane((0, 0, 0), (0, 0, 1))], radius))
-    found = refine(seen, observation_clamps(seen, end=Clamp.FREE), Theta(2 * bend * np.eye(2), 2 * bend), options)
+    seen = d.Observations(np.array(marks) + random.normal(0, 0.3, (8, 31, 3)))
+    options = d.RefinementOptions(surroundings=d.Surroundings([d.Plane((0, 0, 0), (0, 0, 1))], radius))
+    found = d.refine(seen, observation_clamps(seen, end=d.Clamp.FREE), d.Theta(2 * bend * np.eye(2), 2 * bend), options)
     parameter = found.estimate.parameter("bend")
     assert found.converged and found.used.all() and parameter.low < bend < parameter.high < 1.2 * parameter.low
-
-
-@pytest.mark.thorough
-def test_without_the_table_they_do_not(rope):
-    observations, truth = rope
-    found = refine(observations, observation_clamps(observations), GUESS, replace(SIMPLE, intervals="covariance"))
-    assert found.mean_distance > 2.0 or found.used.sum() < 5
 
 
 @pytest.mark.thorough
 def test_commands_take_the_table_and_the_run_of_a_sweep_keeps_it(rope, tmp_path, capsys):
     observations, truth = rope
     path, run = str(tmp_path / "rope.npz"), str(tmp_path / "run")
-    save_observations(tmp_path / "rope.npz", observations)
+    d.save_observations(tmp_path / "rope.npz", observations)
     (tmp_path / "table.toml").write_text(TABLE_FILE)
     obstacles, radius = ["--obstacles", str(tmp_path / "table.toml")], ["--radius", "2"]
     model = ["--rest-curvature", "none", "--clamps", "exact", "--no-models"]
@@ -105,8 +73,9 @@ def test_commands_take_the_table_and_the_run_of_a_sweep_keeps_it(rope, tmp_path,
     for words in ([*of_file, *obstacles, *radius], of_run):
         capsys.readouterr()
         (found,) = json.loads(succeeded(capsys, [*words, "--json"]))
-        bend = next(one for one in found["parameters"] if one["name"] == "bend")
-        assert bend["low"] < truth["bend"] < bend["high"]
+        assert found["converged"] and found["rods_used"] == observations.count and found["mean_distance_mm"] < 0.2
+        for one in found["parameters"]:
+            assert one["name"] not in truth or one["low"] < truth[one["name"]] < one["high"] < 1.4 * one["low"]
         assert found["obstacles"]["kinds"] == ["plane"] and found["obstacles"]["radius_mm"] == 2.0
     for words, field in (([*of_file, *radius], "--radius: "), ([*of_file, *obstacles], "--radius: "),
                          ([*of_file, *obstacles, "--radius", "40"], "inside a Plane"),
@@ -114,19 +83,12 @@ def test_commands_take_the_table_and_the_run_of_a_sweep_keeps_it(rope, tmp_path,
         refused(capsys, tmp_path, words, field)
 
 
-def test_rods_inside_obstacles_are_refused():
-    seen = suture(1)
-    deep = Surroundings([Plane((0, 0, 200), (0, 0, 1))], 2.0)
-    with pytest.raises(InputError, match=r"rod \d is .* mm inside a Plane"):
-        refine(seen, observation_clamps(seen), TRUTH, RefinementOptions(surroundings=deep))
-
-
 @pytest.mark.thorough
 def test_a_plan_with_the_table_is_another(rope):
     observations, truth = rope
     observations = observations.take(np.arange(3))
-    grid = Grid((Axis("bend", np.array([0.7, 1.4]) * truth["bend"]), Axis("twist", [truth["twist"]])))
-    given = dict(sigma=0.1, picks=2, clamp_start=Clamp.FRAME, clamp_end=Clamp.FRAME)
+    grid = d.Grid((d.Axis("bend", np.array([0.7, 1.4]) * truth["bend"]), d.Axis("twist", [truth["twist"]])))
+    given = dict(sigma=0.1, picks=2, clamp_start=d.Clamp.FRAME, clamp_end=d.Clamp.FRAME)
     on_table, without = plan(observations, grid, surroundings=TABLE, **given), plan(observations, grid, **given)
     assert (on_table.sensed == on_table.cells).all() and on_table.volume[-1] < on_table.volume[0] <= 1.0
     # Without the table the ropes hang: another part of them bends under their weight.

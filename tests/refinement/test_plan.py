@@ -100,6 +100,8 @@ def test_wrong_input_is_reported(configurations):
     for sigma in (0.0, np.nan):
         with pytest.raises(InputError, match="sigma"):
             plan(configurations, grid(), sigma=sigma)
+    with pytest.raises(InputError, match="twist: .*twist_ratio"):
+        plan(configurations, Grid((parse_axis("--bend", "1e5:1e6:3"),)), sigma=0.1)
     with pytest.raises(InputError, match="away from the first"):
         apart = replace(configurations, vertices=configurations.vertices * 4)
         plan(replace(apart, rest_length=configurations.rest_length), grid(), sigma=0.1)

@@ -48,20 +48,11 @@ def test_boxes_lie_on_the_cells_they_are_of(relative, rng):
         assert (places[:, 2:] > 3).all()
 
 
-def test_cells_of_hidden_axes_lie_where_the_others_put_them(rng):
-    counts = {"bend": 1, "a": 4, "b": 3, "c": 5}
-    axes = [(name, np.arange(1.0, count + 1), False, "") for name, count in counts.items()]
-    whole = LandscapePlane.of(axes, rng.uniform(1, 2, (1, 4, 3, 5)), (0, 0, 0, 0))
-    index = np.unravel_index(np.arange(60), (1, 4, 3, 5))
-    np.testing.assert_array_equal(whole.places(index), index[1:3])
-    line = LandscapePlane.of(axes[:2], rng.uniform(1, 2, (1, 4)), (0, 0))
-    np.testing.assert_array_equal(line.places(([0, 0], [3, 1])), [[3, 1], [0, 0]])
-
-
 def test_a_line_s_boxes_are_as_high_as_its_axes(rng):
     axes = [("bend", np.geomspace(1e5, 1e7, 5), True, "mm³"), ("weight", np.ones(1), True, "")]
     line = LandscapePlane.of(axes, rng.uniform(1, 2, (5, 1)), (0, 0))
     _, boxes = landscapes.cells_image([[LandscapePanel("line", line)]], (np.arange(5), np.zeros(5, int)), relative=True)
+    np.testing.assert_array_equal(line.places(([3, 1], [0, 0])), [[3, 1], [0, 0]])
     np.testing.assert_allclose(boxes[1:, 0, 0], boxes[:-1, 0, 0] + boxes[:-1, 0, 2], atol=1e-6)
     assert np.ptp(boxes[..., 3]) < 1e-9 and boxes[0, 0, 3] > 100
 
@@ -156,15 +147,6 @@ def test_a_small_landscape_stays_as_it_is():
     drawn, borders = plane.blocks()
     assert drawn is plane
     np.testing.assert_array_equal(borders[1], cell_edges(plane.axes[1]))
-
-
-@pytest.mark.thorough
-@pytest.mark.parametrize("shape", [(900, 800), (20_000,)])
-def test_a_picture_of_many_cells(shape):
-    axes, values, minimum, unfinished = large(shape)
-    file = io.BytesIO()
-    landscapes.landscape_picture(file, LandscapePlane.of(axes, values, minimum, unfinished), title="many")
-    assert file.getvalue()[:8] == b"\x89PNG\r\n\x1a\n"
 
 
 @pytest.mark.thorough

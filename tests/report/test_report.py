@@ -113,6 +113,8 @@ def test_more_than_two_free_axes_show_the_minimum_over_the_others(rng):
     np.testing.assert_array_equal(plane.values, values[0].min(axis=(2, 3)))
     assert plane.minimum == minimum[1:3]
     assert plane.hidden == ("c", "d")
+    index = np.unravel_index(np.arange(values.size), values.shape)
+    np.testing.assert_array_equal(plane.places(index), index[1:3])
     assert plane.best == tuple((axis[0], axis[1][k], "") for axis, k in zip(axes[1:], minimum[1:], strict=True))
     at = np.unravel_index(np.argmin(values[0, 2, 1]), (5, 2))
     assert plane.unfinished[2, 1] == unfinished[0, 2, 1][at]
@@ -229,16 +231,3 @@ def test_plane_is_upright_along_the_rods(up, rng):
     assert np.linalg.det(basis) > 0
     if up == (0, 0, 1):
         assert right[0] > 0.99
-
-
-def test_one_observation_stays_where_it_is(rng):
-    vertices = runs.observations(rng)[2:3] + 100.0
-    sheet = grid_view(Observed(vertices))
-    assert (sheet.offset == 0).all()
-    assert sheet.headings == []
-
-
-def test_names_say_number_and_labels(rng):
-    vertices = runs.observations(rng)
-    assert Observed(vertices, LABELS).names[1] == "observation 1: 30 mm 0°"
-    assert Observed(vertices[:2]).names == ["observation 0", "observation 1"]

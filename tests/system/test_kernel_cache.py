@@ -2,16 +2,14 @@
 
 import hashlib
 import os
-import subprocess
-import sys
 import time
 from pathlib import Path
 
 import pytest
 
 from doo_ti.system.taichi_internals import ENTRY, HEADER, LOCK, TABLE
+from tests.processes import python
 
-ROOT = Path(__file__).resolve().parents[2]
 ONE_KERNEL = """
 import tempfile
 from doo_ti.system import runtime
@@ -33,10 +31,7 @@ def run_kernel(folder: Path, temporary=None, **environment) -> None:
     """A process that compiles a kernel, or loads it, and uses it; None takes a variable out of its environment."""
     script = folder / "kernel.py"
     script.write_text(ONE_KERNEL.replace("TEMPORARY", repr(temporary and str(temporary))))
-    names = {**os.environ, "PYTHONPATH": str(ROOT), **environment}
-    names.pop("TI_OFFLINE_CACHE_FILE_PATH", None)
-    done = subprocess.run([sys.executable, str(script)], capture_output=True, text=True,
-                          env={name: str(value) for name, value in names.items() if value is not None})
+    done = python(script, **{"TI_OFFLINE_CACHE_FILE_PATH": None, **environment})
     assert (done.returncode, done.stdout, done.stderr) == (0, "3\n", "")
 
 

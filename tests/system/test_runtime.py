@@ -5,8 +5,6 @@ kernels, and processes forked from them."""
 import inspect
 import json
 import os
-import subprocess
-import sys
 import time
 from pathlib import Path
 
@@ -16,8 +14,8 @@ from doo_ti.relaxation import chain, contacts, newton_trip
 from doo_ti.system import runtime
 from doo_ti.system.taichi_internals import _lines_of
 from tests.first_use import CALLS
+from tests.processes import python
 
-ROOT = Path(__file__).resolve().parents[2]
 WHERE = """
 import json
 import os
@@ -31,14 +29,9 @@ PROCESSORS = sorted(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity")
 of_two = pytest.mark.skipif(len(PROCESSORS) < 2, reason="takes Linux and two processors")
 
 
-def ran(script: str, folder: Path = ROOT, **environment) -> subprocess.CompletedProcess:
-    return subprocess.run([sys.executable, "-W", "ignore", "-c", script], capture_output=True, text=True, cwd=folder,
-                          env={**os.environ, "PYTHONPATH": str(ROOT), **environment})
-
-
 def places(threads: int, **environment) -> list:
     """(processors each of Taichi's threads may use, those the caller may)."""
-    return json.loads(ran(WHERE.replace("THREADS", str(threads)), **environment).stdout)
+    return json.loads(python("-c", WHERE.replace("THREADS", str(threads)), **environment).stdout)
 
 
 @of_two
@@ -70,7 +63,7 @@ print(len(os.sched_getaffinity(0)))
 
 @of_two
 def test_a_thread_that_has_ended_is_passed_over():
-    done = ran(ENDED)
+    done = python("-W", "ignore", "-c", ENDED)
     assert done.stdout.strip() == "1", done.stderr
 
 
@@ -82,17 +75,17 @@ START = ("from doo_ti.commands.cli import main; import sys; "
 @pytest.mark.parametrize(("name", "value"), [("DOO_TI_ARCHITECTURE", "gpu"), ("DOO_TI_ARCHITECTURE", ""), ("TI_ARCH", "cuda"),
                                              ("TI_ARCH", "vulkan"), ("TI_ARCH", ""), ("TI_ARCH", "nothing")])
 def test_where_to_run_is_said_once(tmp_path, name, value):
-    done = ran(START, tmp_path, **{name: value})
+    done = python("-W", "ignore", "-c", START, folder=tmp_path, **{name: value})
     assert done.returncode == 2 and done.stderr.count("\n") == 1 and f"environment: {name}" in done.stderr
 
 
 @pytest.mark.thorough
 def test_cuda_without_a_device_is_refused(tmp_path):
     script = "import taichi as ti; print(ti.lang.misc.is_arch_supported(ti.cuda))"
-    if "True" in ran(script).stdout:
+    if "True" in python("-c", script).stdout:
         pytest.skip("there is a device")
     for start in (START, "from doo_ti.system import runtime; runtime.start()"):
-        done = ran(start, tmp_path, DOO_TI_ARCHITECTURE="cuda")
+        done = python("-W", "ignore", "-c", start, folder=tmp_path, DOO_TI_ARCHITECTURE="cuda")
         assert "environment: DOO_TI_ARCHITECTURE" in done.stderr.splitlines()[-1]
         assert (done.returncode, done.stderr.count("\n")) == (2, 1) or start is not START
 
@@ -113,7 +106,7 @@ if child == 0:
 @pytest.mark.thorough
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="nothing forks here")
 def test_a_process_forked_before_the_first_use_has_kernels_of_its_own():
-    done = ran(FORKED_BEFORE)
+    done = python("-W", "ignore", "-c", FORKED_BEFORE)
     assert done.stdout.split() == ["cpu", "cpu"], done.stderr
 
 
@@ -145,24 +138,17 @@ def test_the_clock_of_limits_stands_still_while_kernels_compile():
     assert time.monotonic() - runtime.working_time() - began >= 0.05
 
 
-def at_once(name: str, threads: int) -> None:
-    """Python threads that use the kernels for the first time at the same moment: Taichi compiles for one at a time."""
-    command = [sys.executable, "-m", "tests.first_use", name, str(threads)]
-    done = subprocess.run(command, capture_output=True, text=True, cwd=ROOT)
+FIRST = ("relax", "simulate")
+
+
+@pytest.mark.parametrize(("name", "threads"), [
+    *(pytest.param(name, 8, marks=pytest.mark.thorough) for name in FIRST),
+    *(pytest.param(name, threads, marks=pytest.mark.slow) for name in CALLS for threads in (2, 8)
+      if name not in FIRST or threads < 8)])
+def test_any_function_may_be_the_first_of_several_threads(name, threads):
+    """Which use the kernels for the first time at the same moment: Taichi compiles for one at a time."""
+    done = python("-m", "tests.first_use", name, threads)
     assert done.stdout.split("\n")[-2:] == ["alike", ""], f"{done.stdout}{done.stderr}"
-
-
-@pytest.mark.thorough
-@pytest.mark.parametrize("name", ["relax", "simulate"])
-def test_eight_threads_begin_at_once(name):
-    at_once(name, 8)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("threads", [2, 8])
-@pytest.mark.parametrize("name", CALLS)
-def test_any_function_may_be_the_first(name, threads):
-    at_once(name, threads)
 
 
 def test_no_kernel_is_launched_beside_another():
@@ -241,7 +227,7 @@ OTHERS = "OPTIONS = dict(default_fp=ti.f64, default_ip=ti.i64, debug=True, opt_l
 def said(folder: Path, script: str) -> list[str]:
     path = folder / "program.py"  # Taichi reads a kernel's source
     path.write_text(script, encoding="utf-8")
-    done = subprocess.run([sys.executable, "-W", "ignore", path], capture_output=True, text=True, timeout=300)
+    done = python("-W", "ignore", path)
     assert done.returncode == 0, done.stderr
     return [line for line in done.stdout.splitlines() if not line.startswith("[Taichi]")]
 

@@ -11,6 +11,7 @@ import pytest
 from doo_ti.commands.help_text import EXAMPLES
 from tools.studies import reproduce
 from tools.studies.replication.criteria import CRITERIA
+from tools.studies.replication.landscapes import figure_1
 
 ROOT = Path(__file__).resolve().parents[2]
 DOCUMENTS = [*sorted((ROOT / "docs").rglob("*.md")),
@@ -76,3 +77,4 @@ def test_items_are_measured_and_reported(tmp_path, capsys):
         assert f"\n## {name}\n" in text
         assert text.count(f"\n| {name} | ") >= len(CRITERIA[name])
     assert "did not run" not in text and "1.40 / 0." in text
+    assert figure_1()[0] == {"apart": [True]}

@@ -8,7 +8,6 @@ from doo_ti.relaxation.newton import TOLERANCES
 from doo_ti.rod import frames
 from tests.conftest import check_refused
 from tests.oracle.reprojection import edge_error, rod_energy
-from tests.relaxation.rods import assert_same
 from tests.vision.scenes import drawn_scene, map_of
 
 EDGES, NU, POINTS = 14, 30.0, 4
@@ -99,14 +98,6 @@ def test_single_precision_ends_where_double_does(scene, rng):
     assert quick.converged.all() and (quick.precision == 32).mean() > 0.9
     apart = np.linalg.norm(fine.configuration.vertices - quick.configuration.vertices, axis=-1).max(axis=1)
     assert (apart < 5e-3).mean() > 0.9  # a few find another minimum
-
-
-def test_a_rod_does_not_depend_on_the_others(scene, rng):
-    """Three rods leave lanes empty, whose values are never used."""
-    sets, start = starts(rng, scene[1], 40, 0.05)
-    together = relaxed(scene, sets, start)
-    for rows in ([39], [3, 17, 8]):
-        assert_same(together, rows, relaxed(scene, sets[rows], start.take(rows)), slice(None))
 
 
 def test_wrong_input_is_refused(scene, rng):

@@ -1,6 +1,5 @@
 """Rendered images against the projection they were made with."""
 
-from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -76,17 +75,8 @@ def test_the_same_seed_gives_the_same_images():
     assert (np.array(first) != np.array(other)).any()
 
 
-def test_occluders_hide_about_the_share_that_was_asked_for():
-    hidden = []
-    for seed in range(6):
-        plain = render_set(small_rig(), bow(), 1.3, EXACT, seed)
-        shut = render_set(small_rig(), bow(), 1.3, replace(EXACT, occluders=2, occluder=200), seed)
-        hidden += [1 - np.sum(200.0 - b) / np.sum(200.0 - a) for a, b in zip(plain, shut)]
-    assert 0.1 < np.mean(hidden) < 0.35
-
-
 def test_what_cannot_be_drawn_is_refused():
-    for change in ({"blur_px": -1}, {"jpeg_quality": 0}, {"light": (0, 0, 0)}, {"occluded_share": 2}):
+    for change in ({"blur_px": -1}, {"jpeg_quality": 0}, {"light": (0, 0, 0)}, {"occluded_share": 2}, {"occluders": 10**6}):
         check_refused(": ", RenderOptions, **change)
-    for rod, diameter in ((bow()[:1], 1), (bow() * np.nan, 1), (bow()[[0, 0, 1]], 1), (bow(), 0)):
+    for rod, diameter in ((bow()[:1], 1), (bow() * np.nan, 1), (bow()[[0, 0, 1]], 1), (bow(), 0), (bow(), 1e300)):
         check_refused(": ", render_set, small_rig(), rod, diameter)

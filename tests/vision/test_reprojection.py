@@ -126,16 +126,6 @@ def test_scores_are_the_oracle_s(kind, scene, rng):
         assert found.total[n] == pytest.approx(energy + NU * sum(errors), rel=1e-5)
 
 
-def test_a_score_does_not_depend_on_the_others(scene, rng):
-    rig, rods, maps = scene
-    vertices, sets = hypotheses(rng, rods, 53)
-    together = score(vertices, maps, sets, rig, NU, Material(2e5, 1e5))
-    for rows in ([0], [17, 52, 3], np.arange(53)[::-1]):
-        some = score(vertices[rows], maps, sets[rows], rig, NU, Material(2e5, 1e5))
-        for name in ("energy", "camera_error", "total", "unseen"):
-            np.testing.assert_array_equal(getattr(some, name), getattr(together, name)[rows])
-
-
 def test_rods_not_finite_or_not_seen_are_reported(scene, rng):
     rig, rods, maps = scene
     vertices, sets = hypotheses(rng, rods, 3)
