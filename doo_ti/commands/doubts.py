@@ -190,7 +190,8 @@ def length_doubt(observations: Observations) -> str | None:
     if 1 / DOUBTFUL <= stated / arcs <= DOUBTFUL:
         return None
     return (f"rest_length_mm: the rod is stated to be {stated:.4g} mm long, but arcs through its marks are {arcs:.4g} mm; "
-            "check the length from the first mark to the last along the rod and the --unit, or give no length")
+            "check the length from the first mark to the last along the rod and the --unit, or give no length"
+            + "; noise lengthens arcs, too" * (stated < arcs))
 
 
 def repeats_doubt(observations: Observations, noise: float) -> str | None:

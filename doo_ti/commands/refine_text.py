@@ -37,7 +37,7 @@ def summary_of(observations: Observations, surroundings: Surroundings, found, he
     pairs = [(first, second) for k, first in enumerate(names) for second in names[k + 1 :]
              if not (first.startswith("up") or second.startswith("up"))]
     constant = estimate.values.constant.reshape(2, 2, 3)
-    return {
+    summary = {
         "material": observations.name, "source": observations.source, "observations": observations.count,
         "theta": _theta(found.theta), "parameters": [asdict(parameter) for parameter in estimate.parameters],
         "unknowns": names, "covariance": estimate.covariance, "correlation": estimate.correlation,
@@ -72,6 +72,17 @@ def summary_of(observations: Observations, surroundings: Surroundings, found, he
             "standard_error_mm": held_out.standard_error, "sound": int(held_out.sound.sum()),
             "theta": [_theta(one.theta) for one in held_out.refinements]},
     }
+    return summary | {"cautions": _cautions(summary)}
+
+
+def _cautions(summary: dict) -> list[str]:
+    found = []
+    if _curved(summary) and "twist" not in summary["unknowns"]:
+        found.append("bend stiffness of a curved rod depends on twist stiffness, which was not learned: give --parameters "
+                     "bend,twist")
+    if any(one["name"] == "bend" and one["high"] is None for one in summary["parameters"]):
+        found.append("as fitted, its weight hardly bends the rod: check --up, or hang it so that it sags")
+    return found
 
 
 def _theta(theta) -> dict:
@@ -141,10 +152,7 @@ def summary_lines(summary: dict) -> list[str]:
             ("along the rod", varied["root_mean_square"] and
              f"bend stiffness varies by {varied['root_mean_square']:.0%} (root mean square), from {factor[low]:.3g} times the "
              f"value above at mark {low} to {factor[high]:.3g} times at mark {high}, counted from 0"),
-            ("caution", curved and "twist" not in summary["unknowns"] and
-             "bend stiffness of a curved rod depends on twist stiffness, which was not learned: --parameters bend,twist"),
-            ("caution", any(one["name"] == "bend" and one["high"] is None for one in summary["parameters"]) and
-             "as fitted, its weight hardly bends the rod: check --up, or hang it so that it sags"),
+            *(("caution", text) for text in summary["cautions"]),
             ("ends", summary["swivels"] and
              "fit best as free to roll in what holds them; if clips held them, give their frames"),
             ("frames", max(start, end) > 0 and f"off by {start:.2g}° (start) and {end:.2g}° (end); "

@@ -65,7 +65,7 @@ class TwistCurves:
         if observations.start_frame is None and not material.is_isotropic:
             raise InputError(observations.source, "start_frame", "missing, and the rod is not round",
                              "give start_frame, or an isotropic material")
-        free, clamps = without_twist(observations)
+        free, clamps = without_twist(observations, group)
         if surroundings:
             require_clear(observations.source, surroundings, clamps, free, np.arange(count))
         first = np.append(np.flatnonzero(steps), count)
@@ -119,18 +119,19 @@ class TwistCurves:
         return replace(shape, quaternions=turned)
 
 
-def without_twist(observations: Observations) -> tuple[Configuration, Clamps]:
+def without_twist(observations: Observations, group: np.ndarray) -> tuple[Configuration, Clamps]:
     """The observed shapes with their Bishop frames, and clamps on whole frames: the last one if known, else the Bishop frame.
 
-    Where start frames are unknown, their rolls are those of the first observation, parallel transported: the clip at the start
-    does not turn.
+    Where start frames are unknown, their rolls are those of the first observation of the ``group`` (N,), parallel transported:
+    the clip at the start does not turn.
     """
     observations = replace(observations, frames=None, total_twist=None)
     clamps = observation_clamps(observations)
     if observations.start_frame is None:
         frame = clamps.start_frame
-        transport = matrix_from_quaternion(smallest_rotation(frame[0, :, 0], frame[..., 0]))
-        clamps = replace(clamps, start_frame=np.einsum("nij,jk->nik", transport, frame[0]))
+        first = frame[np.searchsorted(group, group)]
+        transport = matrix_from_quaternion(smallest_rotation(first[..., 0], frame[..., 0]))
+        clamps = replace(clamps, start_frame=transport @ first)
     clamps = replace(clamps, start=Clamp.FRAME, end=Clamp.TANGENT)
     free = start_configuration(observations, clamps)
     known = observations.end_frame is not None
@@ -172,7 +173,7 @@ def end_offsets(observations: Annotated[Observations, "N"], group: Annotated[np.
     if observations.end_frame is None:
         raise InputError(observations.source, "end_frame", "missing, so that the angles between the end frames are unknown",
                          "give end_frame or offsets, or one observation per group")
-    free, clamps = without_twist(observations)
+    free, clamps = without_twist(observations, group)
     last = free.frames[:, -1]
     angle = angle_about(last[..., 0], last[..., 1], clamps.end_frame[..., 1])
     if observations.total_twist is not None:

@@ -305,7 +305,8 @@ def _best_order(fit: Fit, fitted: Fitted, row: int, usual: float) -> Mislabelled
 
 
 def _orders(seen: Observations, row: int, reverse: bool) -> tuple[list[tuple[int, ...]], Observations]:
-    """The marks that each order changes, as :class:`Mislabelled` has them, and the observations so changed."""
+    """The marks that each order changes, as :class:`Mislabelled` has them, and the observations so changed. None takes
+    neighbours farther apart, over the length between them, than they are now: right ones take them together."""
     there = np.flatnonzero(seen.valid[row]).tolist()
     orders = [*[()] * reverse, *combinations(there, 2), *(((mark,) for mark in there) if len(there) > FEWEST else ())]
     vertices = np.repeat(seen.vertices[row : row + 1], len(orders), axis=0)
@@ -316,5 +317,8 @@ def _orders(seen: Observations, row: int, reverse: bool) -> tuple[list[tuple[int
             vertices[number, marks] = np.nan
         else:
             vertices[number] = vertices[number, ::-1]
-    changed = seen.take(np.full(len(orders), row))
-    return orders, replace(changed, vertices=vertices, valid=np.isfinite(vertices).all(axis=-1))
+    apart, now = (np.nan_to_num(np.linalg.norm(np.diff(marks, axis=1), axis=-1) / seen.rest_length).max(axis=1)
+                  for marks in (vertices, seen.vertices[row : row + 1]))
+    near = np.flatnonzero(apart <= now)
+    changed, vertices = seen.take(np.full(len(near), row)), vertices[near]
+    return [orders[order] for order in near], replace(changed, vertices=vertices, valid=np.isfinite(vertices).all(axis=-1))

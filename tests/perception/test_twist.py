@@ -71,6 +71,18 @@ def test_offsets_without_a_hint_follow_from_one_to_the_next(made):
     check_refused("end_frame", end_offsets, replace(known, end_frame=None), np.zeros(5, dtype=int))
 
 
+def test_noisy_marks_alone_say_less(made, rng):
+    """They tilt the ends that are held along them, which moves the estimate by far more than its curve is wide."""
+    noisy = replace(made.take(np.repeat(np.arange(made.count), 8)), frames=None, total_twist=None)
+    noisy = replace(noisy, vertices=noisy.vertices + rng.normal(0, 0.002, noisy.vertices.shape))
+    truth = np.repeat(TWIST, 8)
+    held, alone = (estimate_twist(one, MATERIAL) for one in (noisy, replace(noisy, start_frame=None, end_frame=None)))
+    assert np.mean((alone.low <= truth) & (truth <= alone.high)) > 0.9
+    assert np.median(alone.high - alone.low) > 2 * np.median(held.high - held.low)
+    same = estimate_twist(replace(noisy, start_frame=None, end_frame=None).take([11]), MATERIAL)
+    assert (same.objective[0] == alone.objective[11]).all() and (same.low, same.high) == (alone.low[11], alone.high[11])
+
+
 def test_materials_may_differ_and_no_observation_depends_on_others(made):
     each = Material(np.array([6e5, 1e6, 6e5, 1e6, 6e5]), 4e5)
     mixed, plain, stiff = (estimate_twist(made, material) for material in (each, MATERIAL, Material(1e6, 4e5)))

@@ -34,7 +34,7 @@ STATICS, MOTION = "tests/references", "tests/dynamics/test_references.py"
 class Recorder:
     """A plugin of pytest: what the references measure under one precision.
 
-    series   (title, numbers of joints, errors) of convergence tests
+    series   (name of the test, numbers of joints, errors), of each order of convergence that one asks for
     results  name of each test: whether it holds
     texts    what the tests of motion print
     """
@@ -45,8 +45,8 @@ class Recorder:
     texts: dict[str, str] = field(default_factory=dict)
 
     def pytest_runtest_setup(self, item):
-        if hasattr(item.module, "show"):
-            item.module.show = self.show
+        if hasattr(item.module, "orders"):
+            item.module.orders = partial(self.ordered, item.originalname.removeprefix("test_").replace("_", " "))
         if self.precision == "f32" and hasattr(item.module, "relax"):
             # The wrapped one of an earlier test is not wrapped again.
             item.module.relax = partial(self.coarse, getattr(item.module.relax, "args", (item.module.relax,))[0])
@@ -59,8 +59,10 @@ class Recorder:
             if MOTION in report.nodeid and lines:
                 self.texts[name] = LONG.sub(lambda number: f"{float(number[0]):.3g}", NUMBER.sub(r"\1", "; ".join(lines)))
 
-    def show(self, title, edges, errors) -> None:
-        self.series.append((title, [int(count) for count in edges], [float(error) for error in errors]))
+    def ordered(self, title, edges, errors) -> np.ndarray:
+        together = sorted(zip(edges, errors, strict=True))
+        self.series.append((title, [int(count) for count, _ in together], [float(error) for _, error in together]))
+        return orders(edges, errors)
 
     @staticmethod
     def coarse(relax, x0, material, clamps=None, solver=None, **options):
@@ -87,7 +89,7 @@ def report(double: Recorder, single: Recorder) -> list[str]:
              "reference | cases | joints | largest error | order", "---|---|---|---|---"]
     kinds = {}
     for title, joints, errors in double.series:
-        kinds.setdefault(re.split("[:,]", title)[0], []).append((joints[-1], errors[-1], orders(joints, errors)[-1]))
+        kinds.setdefault(title, []).append((joints[-1], errors[-1], orders(joints, errors)[-1]))
     for kind, rows in kinds.items():
         joints, errors, found = zip(*rows)
         lines.append(f"{kind} | {len(rows)} | {max(joints)} | {max(errors):.1e} | {min(found):.2f} to {max(found):.2f}")
