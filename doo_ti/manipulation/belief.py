@@ -43,6 +43,9 @@ at one, the outer edges would have no stiffness."""
 PERSISTENT = 3.0
 """Moments to which an error of the model is common. With 1 a tenth of the intervals are too narrow, with 10 all are wide."""
 QUANTILE = 1.96  # standard deviations of a 95 % interval
+MISFIT = 3.0
+"""Times the noise: intervals are wider by what marks are off beyond that (Birge's ratio), as where they are late, or the rod
+touches what the model does not know."""
 
 
 @dataclass(frozen=True)
@@ -52,7 +55,7 @@ class LearnedMaterial:
     material        B rows
     bend, twist, ratio  (B,) mm³, mm³ and β/B; :attr:`EI` and :attr:`GJ` in N m² where the weight per length is known
     bend_interval, twist_interval, ratio_interval  (B, 2)
-    misfit          (B,) mm, root mean square of what the model leaves of a coordinate of the marks
+    misfit          (B,) mm, root mean square of what the model leaves of a coordinate of the marks; NaN before any is seen
     """
 
     material: Material
@@ -118,7 +121,7 @@ class Belief:
         self._covariance = np.tile(np.eye(unknowns), (rods, 1, 1))
         self._variance = np.full(rods, options.noise_mm**2)
         self._square = self._variance.copy()  # mm², of what marks are off the model
-        self.expected = np.full(rods, np.inf)
+        self.expected, self._taught = np.full(rods, np.inf), np.zeros(rods, dtype=bool)
         self.material = self._material()
 
     @property
@@ -150,13 +153,15 @@ class Belief:
             matrix = matrix * along[..., None, None]
         return Material(matrix, self._twist[:, None], nominal.weight, rest, nominal.weight_per_length)
 
-    def held(self, edge: float) -> np.ndarray:
-        """(B,) mm at each end that grippers may hold, of an outer ``edge`` of the rod that was given: at most the whole."""
-        joints = np.flatnonzero(self.learned == JOINTS)
-        if not len(joints):
-            return np.full(len(self.unknowns), edge)
-        spread = self._spread[JOINTS] * np.sqrt(self._covariance[:, joints[0], joints[0]])
-        return edge * np.clip(spread - self.compliance, 0.0, 1.0)
+    @property
+    def clip_margin(self) -> np.ndarray:
+        """(B,) mm by which both clips together may be off their estimate along any line: two standard deviations."""
+        own = (self.learned >= CLIP) & (self.learned < JOINTS) & ((self.learned - CLIP) % 6 < 3)
+        variance = np.zeros((len(self.unknowns), 2, 3))
+        if own.any():
+            variance += (self._spread[self.learned[own]] ** 2 * np.diagonal(self._covariance, axis1=1, axis2=2)[:, own]
+                         ).reshape(variance.shape)
+        return 2.0 * np.sqrt(variance.max(axis=2).sum(axis=1))
 
     @property
     def _twist(self) -> np.ndarray:
@@ -194,7 +199,7 @@ class Belief:
         rods that may be ``touching`` (B,) something. Returns (B, C) the change of what the columns are derivatives by."""
         keep, noise = 1.0 - 1.0 / self._options.memory, self._options.noise_mm**2
         count = 3 * visible.sum(axis=1)
-        number = np.maximum(count, 1)
+        number, self._taught = np.maximum(count, 1), self._taught | (count > 0)
         apart, across = np.where(visible[..., None], residual, 0.0), np.swapaxes(transform, 1, 2)
         normal, right = normal_equations(columns, visible.astype(np.float64), apart)
         # JᵀJ (B, P, P), Jᵀr (B, P) and |r|² (B,), J = columns · transform
@@ -237,10 +242,12 @@ class Belief:
         nominal = self._nominal.bend[:, 0, 0, 0], self._nominal.twist[:, 0]
         bend, ratio = self.unknowns[:, :CLIP].T
         value = nominal[0] * np.exp(bend), nominal[1] * np.exp(bend + ratio), nominal[1] / nominal[0] * np.exp(ratio)
-        spread = np.sqrt([covariance[:, 0, 0], covariance.sum(axis=(1, 2)), covariance[:, 1, 1]])
+        misfit = np.sqrt(self._square)
+        excess = np.maximum(misfit / (MISFIT * self._options.noise_mm), 1.0)
+        spread = excess * np.sqrt([covariance[:, 0, 0], covariance.sum(axis=(1, 2)), covariance[:, 1, 1]])
         intervals = [one[:, None] * np.exp(QUANTILE * deviation[:, None] * [-1.0, 1.0])
                      for one, deviation in zip(value, spread, strict=True)]
-        return LearnedMaterial(self.material, *value, *intervals, np.sqrt(self._square))
+        return LearnedMaterial(self.material, *value, *intervals, np.where(self._taught, misfit, np.nan))
 
 
 def elastic_curvature(rods: Configuration, material: Material) -> np.ndarray:

@@ -63,6 +63,26 @@ def between_marks(values: np.ndarray, seen: np.ndarray) -> np.ndarray:
     return (1 - share) * known[rods, before] + share * known[rods, after]
 
 
+def padded(vertices: np.ndarray) -> np.ndarray:
+    """Places of vertices (B, V, 3), and none of the ends of two more edges."""
+    return np.pad(vertices, ((0, 0), (1, 1), (0, 0)), constant_values=np.nan)
+
+
+def size_of(vectors: np.ndarray, visible: np.ndarray | None = None) -> np.ndarray:
+    """(B,) root mean square lengths of ``vectors`` (B, V, 3), zero where not ``visible``."""
+    count = vectors.shape[1] if visible is None else np.maximum(visible.sum(axis=1), 1)
+    return np.sqrt(np.sum(vectors**2, axis=(1, 2)) / count)
+
+
+def shown_distance(apart: np.ndarray, shares: np.ndarray, visible: np.ndarray) -> np.ndarray:
+    """(B,) root mean square lengths of ``apart`` (B, V, 3), weighted by ``shares`` (B, V), of what is ``visible``; infinite
+    where nothing that counts is."""
+    shares = shares * visible
+    square = np.sum(shares * np.sum(np.where(visible[..., None], apart, 0.0) ** 2, axis=-1), axis=1)
+    total = shares.sum(axis=1)
+    return np.where(total > 0, np.sqrt(square / np.where(total > 0, total, 1.0)), np.inf)
+
+
 # --- poses of grippers ---------------------------------------------------------------------------------------------------
 
 def moved(clamps: Clamps, change: np.ndarray) -> Clamps:
@@ -108,6 +128,21 @@ def drawn_in(clamps: Clamps, excess: np.ndarray, stiff: np.ndarray, moves: np.nd
     start, end = float(moves[0]), float(moves[6])
     part = unit_vectors(_way(clamps, stiff)) * (excess / max(start + end, 1.0))[:, None]
     return replace(clamps, start_position=clamps.start_position + start * part, end_position=clamps.end_position - end * part)
+
+
+def gap_of_held(clamps: Clamps, edge: float, around: Surroundings) -> np.ndarray:
+    """(B,) mm between obstacles and the outer edges, ``edge`` mm long, that grippers hold; zero without obstacles."""
+    if not around.bodies:
+        return np.zeros(clamps.count)
+    ends = ((clamps.start_position, clamps.start_frame, edge), (clamps.end_position, clamps.end_frame, -edge))
+    return np.minimum(*(around.smallest_gap(np.stack([place, place + length * frame[..., 0]], axis=1))
+                        for place, frame, length in ends))
+
+
+def shortened(vectors: np.ndarray, length: np.ndarray) -> np.ndarray:
+    """``vectors`` (B, K), at most ``length`` (B,) long."""
+    size = np.linalg.norm(vectors, axis=1)
+    return vectors * np.minimum(1.0, length / np.maximum(size, 1e-300))[:, None]
 
 
 def boxed(clamps: Clamps, before: Clamps, boxes: tuple) -> Clamps:

@@ -37,8 +37,14 @@ from doo_ti.manipulation.model import (
     boxed,
     change_between,
     drawn_in,
+    gap_of_held,
+    held,
     moved,
+    padded,
     put_rows,
+    shortened,
+    shown_distance,
+    size_of,
     slack,
     slack_gradient,
 )
@@ -73,7 +79,10 @@ SNAPPED, SNAPPED_SHARE = 5.0, 0.02
 """A rod has snapped where its marks are so many standard deviations and so much of its length from its model."""
 AIMS, NEARER = 3, 0.5
 """How often a rod that comes no nearer is given a goal to go to, and the share of its distance that the goal must be within."""
-LITTLE = 0.02
+CONFIRMED, BLIND = 3.0, 10
+"""How much farther than ``reached_mm`` marks may be from the target of a rod that is there, over their noise; and the steps
+after which a rod of which nothing is seen is lost."""
+LITTLE = 0.005
 """Of the distance to the target or, if that is less, of the longest step, what a step must gain at least, or the rod is as near
 as it comes; and of the longest step, by how much it must bring grippers nearer to the poses that they go to."""
 
@@ -112,7 +121,7 @@ class Servo:
         rod = with_end_edges(rod) if self._padded else rod
         targets = targets.take(rows) if targets.count < count else targets
         weight = None if targets.weight is None else np.pad(targets.weight, ((0, 0), (1, 1)))
-        self._targets = Targets(_padded(targets.vertices), weight) if self._padded else targets
+        self._targets = Targets(padded(targets.vertices), weight) if self._padded else targets
         material = material.take(rows) if material.count < count else material
         self._belief = Belief(material, rod.rest_length, options, CENTRE if self._padded else 0.0)
         self.clamps = clamps
@@ -127,6 +136,8 @@ class Servo:
         # Where the rods began to go to a goal, and how near they were; those that go back there.
         self._left, self._left_distance, self._returning = clamps, np.zeros(count), np.zeros(count, dtype=bool)
         self.distance = self._targets.distance(self._shapes)
+        # mm from the target by the marks alone, infinite where none shows it; steps since anything was seen.
+        self._seen_distance, self._blind = np.full(count, np.inf), np.zeros(count, dtype=np.int64)
 
     def __repr__(self) -> str:
         counts = [f"{number} {ServoStatus(kind).name.lower()}"
@@ -158,8 +169,10 @@ class Servo:
             raise InputError("Servo.step", "seen", f"shape {seen.shape}, or infinite", f"give {wanted} mm, or NaN")
         if not np.isfinite(self._belief.expected).any():  # the first moment
             doubt_marks("Servo.step", "seen", seen, float(self._last.rest_length.max()))
-        seen = _padded(seen) if self._padded else seen
+        seen = padded(seen) if self._padded else seen
         visible = np.isfinite(seen).all(axis=-1)
+        self._seen_distance = shown_distance(self._targets.places - seen, self._targets.shares, visible)
+        self._blind = np.where(visible.any(axis=1), 0, self._blind + 1)
         self._follow_snaps(seen, visible)
         rests, modes = self._relaxed(np.arange(len(visible))), self._belief.modes if self._belief.uneven else None
         found = sensitivity(rests, PARAMETERS + ("modes",) * self._belief.uneven, modes, rotations=False, loads=False)
@@ -183,7 +196,7 @@ class Servo:
     def _follow_snaps(self, seen: np.ndarray, visible: np.ndarray) -> None:
         """Draw the models to the marks that are far from them, where that explains the marks better."""
         apart = np.where(visible[..., None], seen - self._shapes - self._offset, 0.0)
-        error, lost = _size(apart, visible), ~self._sound
+        error, lost = size_of(apart, visible), ~self._sound
         # The first moment is compared with nothing: what is not known of the rod has not been learned.
         limit = np.maximum(SNAPPED * self._belief.expected, SNAPPED_SHARE * self._last.rest_length.sum())
         rods = np.flatnonzero((lost | (error > limit)) & visible.any(axis=1))
@@ -194,7 +207,7 @@ class Servo:
         found = model.relaxed(model.drawn(self._last.take(rods), clamps, seen[rods], visible[rods]), clamps)
         sound = found.converged & found.stable
         left = np.where(visible[rods][..., None], seen[rods] - found.configuration.vertices, 0.0)
-        better = sound & (lost[rods] | (_size(left, visible[rods]) < 0.5 * error[rods]))
+        better = sound & (lost[rods] | (size_of(left, visible[rods]) < 0.5 * error[rods]))
         rods = rods[better]
         if len(rods):
             self._offset[rods] = 0.0
@@ -216,20 +229,20 @@ class Servo:
         refused = np.zeros(len(usable), dtype=bool)
         longest = np.where(usable, self._length, 0.0)
         gain = np.zeros(len(usable))
-        length, stiff = self._last.rest_length.sum(), self._belief.held(self._edge)
-        loose = slack(start, length, stiff)
-        least, moves = np.minimum(loose, self._options.slack * length), self._options.moves
+        length, stiff = self._last.rest_length.sum(), np.full(len(usable), self._edge)
+        loose = self._slack(start, np.arange(len(usable)))
+        least, moves = np.minimum(loose, self._least_slack()), self._options.moves
         tighter, room = -slack_gradient(start, stiff) * moves / self._options.scale, loose - least
         to_aim, boxes = self._to_aims(), (self._options.start_box, self._options.end_box)
         for attempt in range(TRIES):
             most = longest if attempt < TRIES - 1 else np.zeros_like(longest)
-            step = np.where(self._aiming[:, None], _shortened(to_aim, most), steps.below(most, tighter, room))[waiting]
+            step = np.where(self._aiming[:, None], shortened(to_aim, most), steps.below(most, tighter, room))[waiting]
             origin = start.take(waiting)
             there = boxed(moved(origin, step / self._options.scale), origin, boxes)
             if boxes != (None, None):
                 step[:, :3] = there.start_position - origin.start_position
                 step[:, 6:9] = there.end_position - origin.end_position
-            tight = np.maximum(least[waiting] - slack(there, length, stiff[waiting]), 0.0)
+            tight = np.maximum(least[waiting] - self._slack(there, waiting), 0.0)
             # Drawn in, a gripper may leave its box again.
             self.clamps = put_rows(self.clamps, waiting, boxed(drawn_in(there, tight, stiff[waiting], moves), origin, boxes))
             model = self._relaxed(waiting)
@@ -239,12 +252,15 @@ class Servo:
             change[:, OF_GRIPPERS] = step * moves / self._options.scale
             linear = (by_step @ change[..., None]).reshape(len(waiting), -1, 3)
             shapes = model.configuration.vertices
-            off = _size(shapes - expected[waiting] - linear)
+            off = size_of(shapes - expected[waiting] - linear)
             distance = targets.distance(shapes + self._offset[waiting])
             size = np.linalg.norm(step, axis=1)
             nearer = self._aiming[waiting] | (distance <= WORSE * here[waiting] + ROUNDING)
-            nearer &= slack(self.clamps.take(waiting), length, stiff[waiting]) >= least[waiting] - EXACT * length
-            follows = (off <= NONLINEAR * _size(linear) + NONLINEAR_MM) & nearer
+            nearer &= self._slack(self.clamps.take(waiting), waiting) >= least[waiting] - EXACT * length
+            around = self._around.take(waiting)
+            free = np.minimum(gap_of_held(origin, self._edge, around), 0.0)
+            nearer &= gap_of_held(self.clamps.take(waiting), self._edge, around) >= free
+            follows = (off <= NONLINEAR * size_of(linear) + NONLINEAR_MM) & nearer
             good = model.converged & model.stable & (follows | (size == 0))
             done = waiting[good]
             rows = np.flatnonzero(good)
@@ -284,8 +300,10 @@ class Servo:
         """Set the statuses after a step that has brought the models nearer by ``gain`` (B,) mm, or was ``refused`` (B,)."""
         stuck = gain < LITTLE * np.minimum(self.distance, self._options.step_mm)
         status = np.where(stuck, np.where(refused, ServoStatus.BLOCKED, ServoStatus.NEAREST), ServoStatus.MOVING)
-        status = np.where(self.distance <= self._options.reached_mm, ServoStatus.REACHED, status)
-        self.status = np.where(self._sound, status, ServoStatus.LOST)
+        near = self._seen_distance <= self._options.reached_mm + CONFIRMED * self._options.noise_mm
+        reached = (self.distance <= self._options.reached_mm) & (near | (np.isinf(self._seen_distance) & (self._blind < BLIND)))
+        self.status = np.where(self._sound & (self._blind < BLIND), np.where(reached, ServoStatus.REACHED, status),
+                               ServoStatus.LOST)
 
     def _aim(self) -> None:
         """Give rods that come no nearer to their targets a goal that is, where there is one. On the way to it the distance may
@@ -297,9 +315,7 @@ class Servo:
         self._aimed[rods] += 1
         here = Targets(self._targets.vertices[rods] - self._offset[rods], self._targets.shares[rods])
         goal = nearest_goal(self._last.take(rods), self.clamps.take(rods), self._models(rods), here, self._options)
-        length = self._last.rest_length.sum()
-        loose = slack(goal.clamps, length, self._belief.held(self._edge)[rods]) >= self._options.slack * length
-        good = loose & (goal.distance < NEARER * self.distance[rods])
+        good = (self._slack(goal.clamps, rods) >= self._least_slack()[rods]) & (goal.distance < NEARER * self.distance[rods])
         within = boxed(goal.clamps, self.clamps.take(rods), (self._options.start_box, self._options.end_box))
         for end in ("start_position", "end_position"):
             good &= (np.abs(getattr(within, end) - getattr(goal.clamps, end)) <= self._options.reached_mm).all(axis=1)
@@ -315,6 +331,15 @@ class Servo:
             way[rods] = change_between(self.clamps.take(rods), self._aims.take(rods)) * self._options.scale
         return way
 
+    def _slack(self, clamps: Clamps, rods: np.ndarray) -> np.ndarray:
+        """(n,) mm of slack of those ``rods`` between grippers at ``clamps`` (n), each of which may hold the whole outer edge,
+        where the clips are estimated to be."""
+        return slack(held(clamps, self._belief.clip[rods]), self._last.rest_length.sum(), self._edge)
+
+    def _least_slack(self) -> np.ndarray:
+        """(B,) mm."""
+        return self._options.slack * self._last.rest_length.sum() + self._belief.clip_margin
+
     def _relaxed(self, rods: np.ndarray) -> Solution:
         """The models of ``rods`` at rest under their clamps and what is known of them, from their last shapes."""
         return self._models(rods).relaxed(self._last.take(rods), self.clamps.take(rods))
@@ -322,20 +347,3 @@ class Servo:
     def _models(self, rods: np.ndarray) -> Model:
         every = Model(self._belief.material, self._belief.clip, self._up, self._around)
         return every if len(rods) == len(self.status) else every.take(rods)
-
-
-def _padded(vertices: np.ndarray) -> np.ndarray:
-    """Places of vertices (B, V, 3), and none of the ends of two more edges."""
-    return np.pad(vertices, ((0, 0), (1, 1), (0, 0)), constant_values=np.nan)
-
-
-def _shortened(vectors: np.ndarray, length: np.ndarray) -> np.ndarray:
-    """``vectors`` (B, K), at most ``length`` (B,) long."""
-    size = np.linalg.norm(vectors, axis=1)
-    return vectors * np.minimum(1.0, length / np.maximum(size, 1e-300))[:, None]
-
-
-def _size(vectors: np.ndarray, visible: np.ndarray | None = None) -> np.ndarray:
-    """(B,) root mean square lengths of ``vectors`` (B, V, 3), zero where not ``visible``."""
-    count = vectors.shape[1] if visible is None else np.maximum(visible.sum(axis=1), 1)
-    return np.sqrt(np.sum(vectors**2, axis=(1, 2)) / count)

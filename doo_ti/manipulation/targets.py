@@ -102,10 +102,10 @@ class ServoStatus(IntEnum):
     """Where a rod stands after a step.
 
     MOVING     on its way
-    REACHED    within ``reached_mm`` of its target
+    REACHED    within ``reached_mm`` of its target, by the estimate and, but for noise, by the marks
     NEAREST    no motion of the grippers brings it nearer: the target is out of reach, or on another branch
     BLOCKED    every motion that would bring it nearer makes the model unstable or snap
-    LOST       no stable model explains what is seen; the grippers rest
+    LOST       no stable model explains what is seen, and the grippers rest; or nothing was seen in ten steps
     """
 
     MOVING = 0
@@ -132,7 +132,8 @@ class ServoOptions:
     free          which grippers' coordinates move, of "start_shift", "start_turn", "end_shift", "end_turn"
     step_mm       longest move of a step: the root of the sum of squares of both shifts in mm and both turns times ``lever_mm``
     lever_mm      mm that count as much as a radian
-    slack         of the rod's length: grippers stay so much nearer to each other than the rod reaches between them
+    slack         of the rod's length: grippers stay so much nearer to each other than the rod reaches between them, and nearer
+                  by what is not known of both clips. It does not cover a wrong length; forces have no limit
     start_box, end_box  ((x, y, z), (x, y, z)) mm: the lowest and the highest places that a gripper may take; None: anywhere. A
                   gripper that begins outside goes no farther out
     reached_mm    distance to the target at which a rod counts as there

@@ -151,6 +151,60 @@ def test_other_rods_come_nearer_too(held):
     assert ((low < BEND) & (BEND < high)).all()
 
 
+HUNG = d.Material.from_physical(1e-4, 0.75e-4, 0.3)
+
+
+def hung(**around) -> tuple[d.Configuration, d.Clamps]:
+    """A rod of 330 mm, its ends 200 mm apart in x, at rest."""
+    rod, clamps = d.hanging(330.0, 33, start=(0, 0, 0), end=(200, 0, 0), clamp=d.Clamp.FRAME)
+    return d.relax(rod, HUNG, clamps, **around).configuration, clamps
+
+
+def test_grippers_do_not_enter_a_wall():
+    """The target is behind it. Each gripper holds an edge of 10 mm, which the model lets turn."""
+    around = {"obstacles": [d.Plane((0, 40, 0), (0, -1, 0))], "radius": 1.5}
+    rod, clamps = hung(**around)
+    servo = d.Servo(rod, HUNG, clamps, d.Targets(rod.vertices + [0, 160, 0]), **around)
+    for _ in range(12):
+        now = servo.step(servo.vertices)
+        tips = now.start_position + 10 * now.start_frame[..., 0], now.end_position - 10 * now.end_frame[..., 0]
+        assert max(tip[0, 1] for tip in (*tips, now.start_position, now.end_position)) < 38.5 + 1e-6
+    assert servo.status[0] in (d.ServoStatus.NEAREST, d.ServoStatus.BLOCKED)
+
+
+@pytest.mark.parametrize("off_mm", [1.0, 2.0])
+def test_clips_that_are_farther_apart_than_reported_do_not_stretch_a_rod(off_mm):
+    """A straight target; each clip is off outwards by one or two standard deviations of what is not known of it."""
+    rod, clamps = hung()
+    straight = np.linspace((-65.0, 0, 0), (265.0, 0, 0), 34)
+    outwards = np.array([[-off_mm, 0, 0, 0, 0, 0, off_mm, 0, 0, 0, 0, 0]])
+    simulation, random = d.Simulation(rod, HUNG, held(clamps, outwards)), np.random.default_rng(3)
+    servo = d.Servo(rod, HUNG, clamps, d.Targets(straight[None]))
+    for _ in range(25):
+        seen = simulation.state.configuration.vertices
+        true = held(servo.step(seen + 0.3 * random.normal(size=seen.shape)), outwards)
+        tips = true.start_position + 10 * true.start_frame[..., 0], true.end_position - 10 * true.end_frame[..., 0]
+        assert np.linalg.norm(tips[1] - tips[0]) < 310.0
+        assert simulation.step(true).converged.all()
+
+
+def test_marks_that_are_late_are_said_to_misfit():
+    """By one step: the stiffness that is learned is wrong, and its interval says so; nothing is reached that marks do not
+    show."""
+    own = some("own mesh")
+    servo, simulation, random = servo_of(own), own.simulation(), np.random.default_rng(5)
+    late = simulation.state.configuration
+    for _ in range(15):
+        marks = own.marks(late, 11, random)
+        late = simulation.state.configuration
+        simulation.step(held(servo.step(marks), own.clip))
+        far = np.sqrt(np.nanmean(np.sum((marks - own.goal) ** 2, axis=-1), axis=1)) > 0.5 + 4 * NOISE
+        assert not (far & (servo.status == d.ServoStatus.REACHED)).any()
+    low, high = servo.material.bend_interval.T
+    assert np.mean((low <= BEND * own.factors[0]) & (BEND * own.factors[0] <= high)) > 0.8
+    assert np.median(servo.material.misfit) > 3 * NOISE
+
+
 def test_nothing_seen_moves_as_the_model_says():
     own = some("own mesh")
     servo = servo_of(own)

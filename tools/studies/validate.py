@@ -8,7 +8,6 @@ where a reference is missed in f64.
 """
 
 import argparse
-import re
 import sys
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -25,8 +24,6 @@ from doo_ti.report.canvas import new_figure
 from doo_ti.system.files import write_text, write_whole
 from tests.references.rods import orders
 
-NUMBER = re.compile(r"np\.float64\(([^)]*)\)")
-LONG = re.compile(r"\d+\.\d{4,}(?:e[-+]\d+)?")
 STATICS, MOTION = "tests/references", "tests/dynamics/test_references.py"
 
 
@@ -36,13 +33,11 @@ class Recorder:
 
     series   (name of the test, numbers of joints, errors), of each order of convergence that one asks for
     results  name of each test: whether it holds
-    texts    what the tests of motion print
     """
 
     precision: str
     series: list[tuple[str, list[int], list[float]]] = field(default_factory=list)
     results: dict[str, bool] = field(default_factory=dict)
-    texts: dict[str, str] = field(default_factory=dict)
 
     def pytest_runtest_setup(self, item):
         if hasattr(item.module, "orders"):
@@ -53,11 +48,7 @@ class Recorder:
 
     def pytest_runtest_logreport(self, report):
         if report.when == "call":
-            name = report.nodeid.partition("::")[2]
-            self.results[name] = report.passed
-            lines = [line for line in report.capstdout.splitlines() if line and not line.startswith("seed:")]
-            if MOTION in report.nodeid and lines:
-                self.texts[name] = LONG.sub(lambda number: f"{float(number[0]):.3g}", NUMBER.sub(r"\1", "; ".join(lines)))
+            self.results[report.nodeid.partition("::")[2]] = report.passed
 
     def ordered(self, title, edges, errors) -> np.ndarray:
         together = sorted(zip(edges, errors, strict=True))
@@ -96,9 +87,7 @@ def report(double: Recorder, single: Recorder) -> list[str]:
     held, missed = sum(double.results.values()), [name for name, holds in double.results.items() if not holds]
     lines += ["", f"All references, with invariances: {held} of {len(double.results)} hold in f64; "
               f"{sum(single.results.values())} of {len(single.results)} static ones hold in f32 under the bounds of f64."]
-    lines += ["", f"**Missed**: {', '.join(missed)}."] if missed else []
-    lines += ["", "## Motion", ""]
-    return [*lines, *(f"- `{name}`: {text}" for name, text in double.texts.items())]
+    return lines + (["", f"**Missed**: {', '.join(missed)}."] if missed else [])
 
 
 def picture(file, double: Recorder, single: Recorder) -> None:
