@@ -153,6 +153,15 @@ class Belief:
             matrix = matrix * along[..., None, None]
         return Material(matrix, self._twist[:, None], nominal.weight, rest, nominal.weight_per_length)
 
+    def held(self, edge: float) -> np.ndarray:
+        """(B,) mm at each end that grippers may hold, of an outer ``edge`` of the rod that was given, to two standard
+        deviations: at most the whole."""
+        joints = np.flatnonzero(self.learned == JOINTS)
+        if not len(joints):
+            return np.full(len(self.unknowns), edge)
+        spread = self._spread[JOINTS] * np.sqrt(self._covariance[:, joints[0], joints[0]])
+        return edge * np.clip(2.0 * spread - self.compliance, 0.0, 1.0)
+
     @property
     def clip_margin(self) -> np.ndarray:
         """(B,) mm by which both clips together may be off their estimate along any line: two standard deviations."""

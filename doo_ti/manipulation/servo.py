@@ -229,7 +229,7 @@ class Servo:
         refused = np.zeros(len(usable), dtype=bool)
         longest = np.where(usable, self._length, 0.0)
         gain = np.zeros(len(usable))
-        length, stiff = self._last.rest_length.sum(), np.full(len(usable), self._edge)
+        length, stiff = self._last.rest_length.sum(), self._belief.held(self._edge)
         loose = self._slack(start, np.arange(len(usable)))
         least, moves = np.minimum(loose, self._least_slack()), self._options.moves
         tighter, room = -slack_gradient(start, stiff) * moves / self._options.scale, loose - least
@@ -332,9 +332,9 @@ class Servo:
         return way
 
     def _slack(self, clamps: Clamps, rods: np.ndarray) -> np.ndarray:
-        """(n,) mm of slack of those ``rods`` between grippers at ``clamps`` (n), each of which may hold the whole outer edge,
-        where the clips are estimated to be."""
-        return slack(held(clamps, self._belief.clip[rods]), self._last.rest_length.sum(), self._edge)
+        """(n,) mm of slack of those ``rods`` between grippers at ``clamps`` (n), where the clips are estimated to be."""
+        stiff = self._belief.held(self._edge)[rods]
+        return slack(held(clamps, self._belief.clip[rods]), self._last.rest_length.sum(), stiff)
 
     def _least_slack(self) -> np.ndarray:
         """(B,) mm."""
