@@ -157,6 +157,9 @@ def _lines(search: _Search, summary: dict, finished_before: bool) -> list[str]:
     rolls = search.grid.is_isotropic and Clamp.FRAME > min(clamps.start, clamps.end) and not search.options.spins
     if search.density is not None and summary["best"]["weight"] > 0:
         lines.append(_physical_line(search, summary["best"], rolls))
+    if search.options.spins:
+        lines.append(f"  note        rolls are tried in steps of {360 / search.options.spins:.3g}°: coarse steps narrow the "
+                     "range of the twist ratio, fine ones leave it open")
     if rolls:
         lines.append("  note        an end rolls freely, so nothing twists the rod: twist is not determined")
     varied = {axis.name for axis in search.grid.axes if len(axis) > 1}

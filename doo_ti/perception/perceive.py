@@ -297,6 +297,7 @@ def perception_of(search: Search, final: Finalists, best: np.ndarray, others: np
         near = edge_error <= options.unsupported
         hidden = ~near & (near.sum(axis=1, keepdims=True) >= 2)
         seen_length = np.where(hidden, 0.0, image_length)
+        camera_error = np.einsum("ace,ace->ac", edge_error, seen_length) / seen_length.sum(axis=2)
         sigma = search.sigma(rods, start_sigma)
     both = search.maps.detections is not None and options.evidence == "both"
     errors = Misread(*np.zeros((4, *image_length.shape[:2])))
@@ -307,7 +308,7 @@ def perception_of(search: Search, final: Finalists, best: np.ndarray, others: np
         configuration=rods,
         energy_vis=final.energy_vis[best],
         # The distance is smoothed near lines, whose mean effect is subtracted: on the line itself it can be -0.01.
-        camera_error=np.maximum(np.einsum("ace,ace->ac", edge_error, seen_length) / seen_length.sum(axis=2), 0.0),
+        camera_error=np.maximum(camera_error, 0.0),
         hidden=1 - seen_length.sum(axis=2) / image_length.sum(axis=2),
         status=final.status[best],
         stable=final.certified[best],
