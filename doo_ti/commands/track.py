@@ -158,7 +158,7 @@ def _tracked(task: TrackingTask) -> tuple[np.ndarray, list, str | None]:
     from doo_ti.perception.tracking import Tracker
 
     frames, rest_length, known, problem = task.frames, task.rest_length, None, None
-    found, starts, off, seen = [], [], [], []
+    found, starts, sigma, seen = [], [], [], []
     try:
         with progress() as bar:
             shown = bar.add_task("tracking", total=frames.count, unit="frames")
@@ -170,26 +170,26 @@ def _tracked(task: TrackingTask) -> tuple[np.ndarray, list, str | None]:
                     rest_length = task.length_bounds.rest_length(length) if rest_length is None else rest_length
                     tracker = Tracker(frames.rig, rest_length, task.material, up=task.up, surroundings=task.surroundings)
                 far = None if task.far is None or row == 0 else task.far[row - 1]
-                frame = tracker.see(detected, start.point, start.direction, far)
+                sigma.append(0.0 if frames.point is not None else
+                             float(np.hypot(start.sigma, _off_thread(frames.rig, detected, start.point))))
+                frame = tracker.see(detected, start.point, start.direction, far, sigma[-1])
                 known = start.point if frame.verdict <= PerceptionVerdict.LIKELY else known
                 found.append(frame)
                 starts.append(start)
-                off.append(_off_thread(frames.rig, detected, start.point) if frames.point is None else 0.0)
                 seen.append(None if frame.verdict == PerceptionVerdict.CLEAR else detected)
                 bar.advance(shown)
-            _look_back(tracker, found, seen, starts)
+            _look_back(tracker, found, seen, starts, sigma)
     except (InputError, OSError, KeyboardInterrupt) as error:
         if not found:
             raise
         problem = str(error) or "interrupted"
-    if frames.point is None:
-        found = [frame.begun_uncertainly(start.sigma, away) for frame, start, away in zip(found, starts, off, strict=False)]
     return rest_length, found, problem
 
 
-def _look_back(tracker, found: list, seen: list, starts: list[_Start]) -> None:
+def _look_back(tracker, found: list, seen: list, starts: list[_Start], sigma: list[float]) -> None:
     """Follow rods back into earlier frames in which they were not found, or fit worse than in the next: the first frames of a
-    video, and those in which a rod was hidden. ``seen``: the detections of frames that are not clear."""
+    video, and those in which a rod was hidden. ``seen``: the detections of frames that are not clear; ``sigma``, mm, how
+    uncertain their starts are."""
     from doo_ti.perception.perceive import PerceptionVerdict
     from doo_ti.perception.tracking import How
 
@@ -198,14 +198,16 @@ def _look_back(tracker, found: list, seen: list, starts: list[_Start]) -> None:
         likely = after.verdict <= PerceptionVerdict.LIKELY
         worse = likely if now.how == How.LOST else now.verdict > after.verdict or now.energy_vis > after.energy_vis
         if worse and seen[row] is not None:
-            found[row] = tracker.revised(now, after, seen[row], starts[row].point, starts[row].direction)
+            found[row] = tracker.revised(now, after, seen[row], starts[row].point, starts[row].direction,
+                                         sigma[row])
 
 
 def _off_thread(rig, detected: list, point: np.ndarray) -> float:
-    """mm by which ``point`` (3,) is off the detected thread in two cameras or more."""
+    """mm by which ``point`` (3,) is off the detected thread in two cameras or more; zero where these show none."""
     off = [np.linalg.norm(found.points - camera.project(point), axis=1).min(initial=np.inf) * camera.depth(point)
            / camera.lens[:2].mean() for camera, found in zip(rig.cameras, detected, strict=True)]
-    return float(np.sort(off)[min(2, len(off)) - 1])
+    second = float(np.sort(off)[min(2, len(off)) - 1])
+    return second if np.isfinite(second) else 0.0
 
 
 def _begun(task: TrackingTask, row: int, detected: list, before: _Start | None, known: np.ndarray | None

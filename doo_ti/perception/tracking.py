@@ -110,11 +110,6 @@ class TrackedFrame:
     verdict: PerceptionVerdict = PerceptionVerdict.AMBIGUOUS
     doubts: tuple[str, ...] = ()
 
-    def begun_uncertainly(self, sigma: float, off: float) -> "TrackedFrame":
-        """The same with a rod whose first two vertices are uncertain by ``sigma`` and ``off`` mm from the thread."""
-        both = np.full(2, np.hypot(sigma, off))
-        return replace(self, sigma=np.concatenate([np.maximum(self.sigma[:2], both), self.sigma[2:]]))
-
 
 @typed
 def seen_vertices(frame: TrackedFrame, rig: Rig, detected: list[Detection], within_px: float = TrackingOptions.lost_px
@@ -186,8 +181,8 @@ class Tracker:
         self._turn: np.ndarray | None = None  # (E, 4) of each edge, from the frame before the last one to the last one
 
     @typed
-    def see(self, detected: list[Detection], point: ArrayLike, direction: ArrayLike, far: Motion | None = None
-            ) -> TrackedFrame:
+    def see(self, detected: list[Detection], point: ArrayLike, direction: ArrayLike, far: Motion | None = None,
+            start_sigma: float = 0.0) -> TrackedFrame:
         """The rod in the next frame.
 
         detected   of each camera; a detection without points means that the camera sees no thread
@@ -195,17 +190,19 @@ class Tracker:
         direction  (3,) of e⁰; any length
         far        motion of the far clamp since the frame before: the rod predicted from it is one more initial shape. Tangents
                    only; the start moves with the seed
+        start_sigma  mm: standard deviation of ``point``, as :func:`doo_ti.perception.perceive.perceive` takes it
 
         Raises InputError as :func:`doo_ti.perception.perceive.perceive` does.
         """
         search = self._search_in("Tracker.see", detected, point, direction)
         if search is None:
             return self._lost()
-        rod, how = None if self._last is None else self._relaxed(search, self._starts(search, far)), How.TRACKED
+        sigma, how = np.full(1, start_sigma), How.TRACKED
+        rod = None if self._last is None else self._relaxed(search, self._starts(search, far), sigma)
         if rod is None or not self._goes_on(rod):
             self._usual = np.inf
             found = perceive(search.maps, search.rig, search.point, search.direction, self._rest_length, self._material,
-                             up=self._up, options=self._search, surroundings=self._surroundings)
+                             up=self._up, options=self._search, surroundings=self._surroundings, start_sigma=sigma)
             seeded = _Rod(found, found.configuration)
             if rod is None or _is_better(seeded, rod):
                 rod, how = seeded, How.SEEDED
@@ -220,7 +217,7 @@ class Tracker:
 
     @typed
     def revised(self, frame: TrackedFrame, after: TrackedFrame, detected: list[Detection], point: ArrayLike,
-                direction: ArrayLike) -> TrackedFrame:
+                direction: ArrayLike, start_sigma: float = 0.0) -> TrackedFrame:
         """``frame``, or the rod of the frame ``after`` it, relaxed in its images, where that is better. Other arguments as of
         :meth:`see`, which does not depend on this. Raises InputError as that does."""
         search = self._search_in("Tracker.revised", detected, point, direction)
@@ -228,7 +225,7 @@ class Tracker:
             return frame
         tangents = unit_vectors(np.diff(after.vertices, axis=0))
         edges = quaternion_from_matrix(bishop_frames(tangents, search.first[0, :, 1]))
-        rod = self._relaxed(search, np.stack([edges, _aimed(edges, search.direction)]))
+        rod = self._relaxed(search, np.stack([edges, _aimed(edges, search.direction)]), np.full(1, start_sigma))
         better = self._sound(rod) and not rod.energy_vis >= (1 - BETTER) * frame.energy_vis
         return self._frame(rod, How.TRACKED, search) if better else frame
 
@@ -244,12 +241,13 @@ class Tracker:
         return Search(distance_maps([[found for found in detected if found.count]]), self._rig.only(seeing), point, direction,
                       self._rest_length, self._material, self._up, self._search, self._surroundings.for_seeds(point))
 
-    def _relaxed(self, search: Search, starts: np.ndarray) -> _Rod:
-        """The rod relaxed in a frame, from the best of its initial shapes ``starts`` (K, E, 4)."""
+    def _relaxed(self, search: Search, starts: np.ndarray, start_sigma: np.ndarray) -> _Rod:
+        """The rod relaxed in a frame, from the best of its initial shapes ``starts`` (K, E, 4), the point where it begins as
+        uncertain as ``start_sigma`` (1,) mm."""
         longer = replace(search, options=replace(search.options, growing_iterations=ITERATIONS))
         rested = longer.nearly_relaxed(Hypotheses(np.zeros(len(starts), dtype=np.int64), starts, np.zeros(len(starts))))
         alone, _ = explained(search, *search.relaxed(rested.take(np.array([np.argmin(rested.energy_vis)]))))
-        found = perception_of(search, alone, np.zeros(1, dtype=np.int64), np.full((1, 0), -1), np.zeros(1))
+        found = perception_of(search, alone, np.zeros(1, dtype=np.int64), np.full((1, 0), -1), start_sigma)
         return _Rod(found, alone.configuration)
 
     def _starts(self, search: Search, far: Motion | None) -> np.ndarray:
