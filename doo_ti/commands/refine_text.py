@@ -72,10 +72,11 @@ def summary_of(observations: Observations, surroundings: Surroundings, found, he
             "standard_error_mm": held_out.standard_error, "sound": int(held_out.sound.sum()),
             "theta": [_theta(one.theta) for one in held_out.refinements]},
     }
-    return summary | {"cautions": _cautions(summary)}
+    return summary | {"cautions": cautions(summary)}
 
 
-def _cautions(summary: dict) -> list[str]:
+def cautions(summary: dict) -> list[str]:
+    """What to beware of in a result, from the other entries of its summary."""
     found = []
     if _curved(summary) and "twist" not in summary["unknowns"]:
         found.append("bend stiffness of a curved rod depends on twist stiffness, which was not learned: give --parameters "
@@ -152,7 +153,7 @@ def summary_lines(summary: dict) -> list[str]:
             ("along the rod", varied["root_mean_square"] and
              f"bend stiffness varies by {varied['root_mean_square']:.0%} (root mean square), from {factor[low]:.3g} times the "
              f"value above at mark {low} to {factor[high]:.3g} times at mark {high}, counted from 0"),
-            *(("caution", text) for text in summary["cautions"]),
+            *(("caution", text) for text in cautions(summary)),
             ("ends", summary["swivels"] and
              "fit best as free to roll in what holds them; if clips held them, give their frames"),
             ("frames", max(start, end) > 0 and f"off by {start:.2g}° (start) and {end:.2g}° (end); "
