@@ -64,7 +64,8 @@ def summary_of(observations: Observations, surroundings: Surroundings, found, he
         "mean_distance_mm": found.mean_distance, "distance_mm": found.distance, "rods_used": int(found.used.sum()),
         "left_out": found.reasons, "misfits": observations.labels[np.flatnonzero(found.misfits)],
         "mislabelled": [{"observation": observations.labels[one.observation], "why": one.text} for one in found.mislabelled],
-        "swivels": found.swivels, "rivals": [_theta(theta) for theta in estimate.rivals], "converged": found.converged,
+        "swivels": found.swivels, "turns_ignored": found.turns_ignored,
+        "rivals": [_theta(theta) for theta in estimate.rivals], "converged": found.converged,
         "iterations": found.steps,
         "regions": [{"parameters": pair, "outline": estimate.region(*pair)} for pair in pairs],
         "held_out": None if held_out is None else {
@@ -78,6 +79,8 @@ def summary_of(observations: Observations, surroundings: Surroundings, found, he
 def cautions(summary: dict) -> list[str]:
     """What to beware of in a result, from the other entries of its summary."""
     found = []
+    if summary.get("turns_ignored"):
+        found.append("total_twist_deg was left out: other whole turns fit better; check it")
     if _curved(summary) and "twist" not in summary["unknowns"]:
         found.append("bend stiffness of a curved rod depends on twist stiffness, which was not learned: give --parameters "
                      "bend,twist")

@@ -108,9 +108,9 @@ class Refinement:
     used                (D,) bool: rods that determined Θ
     misfits             (D,) bool: rods that are converged and stable but far from their marks
     mislabelled         those left out that fit as the others do with their marks in another order, or without one of them
-    converged           False where the allowed steps did not suffice
-    steps               number of steps tried
+    converged, steps    False where the allowed steps did not suffice; and how many were tried
     swivels             whether rods that roll freely in what holds them fit best: their rest curvature lies as they are bent
+    turns_ignored       whether measured whole turns (``total_twist``) were left out, since others fit better
     mesh_edges          N
     mesh_error          mm, root mean square of the correction for the length of the mesh's edges; None without correction
     """
@@ -129,6 +129,7 @@ class Refinement:
     converged: bool
     steps: int
     swivels: bool
+    turns_ignored: bool
     mesh_edges: int
     mesh_error: float | None
 
@@ -166,7 +167,7 @@ def refine(observations: Observations, clamps: Clamps, theta: Theta | Sequence[T
     thetas = (theta,) if isinstance(theta, Theta) else tuple(theta)
     found = _at_their_ends(optima(observations, clamps, thetas, options), options)
     best, *rivals = once(within_reach(with_stiffness_along(found, options.iterations, options.stiffness)))
-    return _refinement(best, rivals, options)
+    return _refinement(best, rivals, options, observations.total_twist is not None)
 
 
 def _at_their_ends(found: list[Optimum], options: RefinementOptions) -> list[Optimum]:
@@ -267,7 +268,7 @@ def _scales(unknowns: Unknowns, options: RefinementOptions) -> Scales:
     return typical_scales(unknowns.rod.length, float(np.median(seen.rest_length)), learned, fixed)
 
 
-def _refinement(best: Optimum, rivals: list[Optimum], options: RefinementOptions) -> Refinement:
+def _refinement(best: Optimum, rivals: list[Optimum], options: RefinementOptions, measured_turns: bool) -> Refinement:
     fit, fitted = most_probable(best.fit, best.fitted)
     state, rod, correction = fitted.state, fit.unknowns.rod, fit.comparison.correction
     sound = state.sound
@@ -281,7 +282,7 @@ def _refinement(best: Optimum, rivals: list[Optimum], options: RefinementOptions
         distance=rod.distance(marks, state.solution, lengths, options.frame_weight),
         status=state.solution.status, stable=state.solution.stable, used=state.used, misfits=sound & ~state.used,
         mislabelled=mislabelled(fit, fitted), converged=fitted.converged, steps=fitted.steps,
-        swivels=rod.swivels, mesh_edges=rod.edges,
+        swivels=rod.swivels, turns_ignored=rod.observations.total_twist is None and measured_turns, mesh_edges=rod.edges,
         mesh_error=None if np.ndim(correction) == 0 else _root_mean_square(correction[state.used]))
 
 

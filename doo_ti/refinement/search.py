@@ -41,6 +41,7 @@ FIRST_TURN = 0.3
 side, and with a much smaller curvature the side changes with every small change of the unknowns."""
 RATIOS = (0.25, 0.5, 1.0, 2.0, 4.0)  # twist over bend stiffness with which a fit begins
 TURNS = (-1, 0, 1)  # whole turns of an observation that are compared, each with the most probable clamps
+FAR_OFF = np.radians(3.0)  # of the errors of frames, above which measured whole turns may be wrong, and are left open as well
 AGAIN = 3  # how often each observation is chosen once more, as long as that changes any
 
 
@@ -93,6 +94,10 @@ def searched(unknowns: Unknowns, thetas: Sequence[Theta], clip: np.ndarray, scal
         found = _from_twists(found, scales, steps)
     if rod.rolls_known:
         found = once([*(Optimum(fit, one) for one in turns_chosen_again(fit, found[0].fitted, steps)), *found])
+    seen = rod.observations
+    if rod.rolls_known and seen.total_twist is not None and found[0].fitted.state.scales["turn_scatter"] > FAR_OFF:
+        unmeasured = replace(rod, observations=replace(seen, total_twist=None))
+        found = _ordered(found, searched(replace(unknowns, rod=unmeasured), thetas, clip, scales, options))
     if straight_first:
         fit, state = rolled(fit, found[0].fitted, unknowns.curvature)
         curved = [Optimum(fit, fit.run(state, steps))]

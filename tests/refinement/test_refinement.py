@@ -121,6 +121,18 @@ def test_whole_turns_that_nobody_measured_are_found(factor):
     assert holds(out.estimate.parameter("bend"), BEND) and holds(out.estimate.parameter("twist"), TWIST)
 
 
+@pytest.mark.thorough
+def test_whole_turns_that_were_measured_wrong_are_left_out():
+    """In one rod of eight, which may be a misfit instead, and in all."""
+    twisted = suture(end_rotations_deg=(0.0, 90.0, 170.0, -120.0), end_distances_mm=(42.0, 66.0))
+    for wrong in ([], [2], slice(None)):
+        measured = twisted.total_twist.copy()
+        measured[wrong] += 2 * np.pi
+        out = fitted(replace(twisted, total_twist=measured))
+        assert holds(out.estimate.parameter("twist"), TWIST), wrong
+        assert wrong == [2] or out.turns_ignored == (wrong != [])
+
+
 def test_what_a_model_lacks_is_named(seen):
     out = fitted(seen, curvature="none", clip=0.0, clamps="exact")
     assert not out.adequacy.reaches_noise and out.adequacy.gap > NOISE
