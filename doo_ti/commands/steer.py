@@ -34,6 +34,7 @@ if TYPE_CHECKING:
 
 SECONDS = given.number("a positive number of s up to 3600", lambda seconds: 0 < seconds <= 3600)
 SEED = given.whole(0, 2**31 - 1)
+MOVES = ("start-shift", "start-turn", "end-shift", "end-turn")
 PLANNED = 2.0  # mm, default distance to the target at which it is reached
 
 
@@ -69,7 +70,7 @@ def run_steer(options: Namespace) -> int:
     from doo_ti.manipulation.plan import PlanOptions, plan_manipulation
     from doo_ti.manipulation.targets import Targets
 
-    chosen = PlanOptions(reached_mm=options.reached, seconds=options.seconds, seed=options.seed)
+    chosen = PlanOptions(free=rod.free, reached_mm=options.reached, seconds=options.seconds, seed=options.seed)
     with busy("planning (kernels are compiled once on a machine)"):
         start, held = rod.at_rest()
         path = plan_manipulation(start.configuration, rod.material, held, Targets(rod.places), chosen, up=rod.observations.up,
@@ -93,7 +94,7 @@ def run_steer(options: Namespace) -> int:
 @dataclass(frozen=True)
 class SteeredRod:
     """A rod, how it is held where it begins, and (1, V, 3) mm the ``places`` where its vertices shall be, NaN where nothing is
-    asked. ``source`` is the file that it is of."""
+    asked. ``source`` is the file that it is of, ``free`` what of its grippers moves."""
 
     source: str
     observations: Observations
@@ -101,6 +102,7 @@ class SteeredRod:
     material: Material
     surroundings: Surroundings
     places: np.ndarray
+    free: tuple[str, ...]
 
     def at_rest(self) -> tuple[Solution, Clamps]:
         """The rod at the start, and its grippers, which hold frames from there on: where the file has none, those of the rod
@@ -121,6 +123,7 @@ def add_steered(parser) -> None:
     given.add(parser, "--target", "TARGET.npz", str, "vertices_mm (1, V, 3), where vertices shall be; NaN where nothing is "
               "asked", required=True)
     given.add_material(parser, "one number each", given.SHAPE_ONLY, round_rod=True)
+    given.add(parser, "--free", "NAME,…", _free, f"what of the grippers moves: {', '.join(MOVES)} (default: all)")
     given.add_clamps(parser)
     given.add_obstacles(parser, "without friction")
     loading.add_loading(parser, "START and TARGET")
@@ -144,7 +147,16 @@ def steered_rod(options: Namespace, written: Iterable[Path]) -> SteeredRod:
     check_experiment(observations, clamps, grid.axes[-1].values[-1], 0.0)
     material = with_rest_curvature(options, grid.materials(), observations.rest_length)
     doubts.warn(observations, surroundings, **loading.stated(options))
-    return SteeredRod(options.start, observations, clamps, material, surroundings, places)
+    free = tuple(name.replace("-", "_") for name in options.free or MOVES)
+    return SteeredRod(options.start, observations, clamps, material, surroundings, places, free)
+
+
+def _free(option: str, text: str) -> tuple[str, ...]:
+    """Names of MOVES between commas."""
+    names = tuple(text.split(","))
+    if set(names) - set(MOVES) or len(set(names)) < len(names):
+        raise InputError(given.SOURCE, option, f"{text!r}", f"give some of {', '.join(MOVES)}, each once")
+    return names
 
 
 # --- servo ---------------------------------------------------------------------------------------------------------------
@@ -268,7 +280,8 @@ def _steps(rod: SteeredRod, true: Material, cameras: "VirtualCameras", rig: Rig,
             raise InputError(given.SOURCE, "--true-EI", "the true rod has no stable equilibrium at the start",
                              "give another, or a rod that is held within its length")
         _check_seen(state.configuration.vertices[0], rig)
-        chosen = ServoOptions(reached_mm=reached, noise_mm=TRACKED_NOISE * float(np.sum(rod.observations.rest_length)))
+        chosen = ServoOptions(free=rod.free, reached_mm=reached,
+                              noise_mm=TRACKED_NOISE * float(np.sum(rod.observations.rest_length)))
         servo = Servo(model.configuration, rod.material, begin, targets, chosen, up=up, **around)
         while len(steps) < most and not (len(steps) >= SETTLED and all(
                 step.status == STATUSES.index("reached") for step in steps[-SETTLED:])):

@@ -44,6 +44,17 @@ def test_predict_follows_the_path_to_the_target(folder, own, capsys):
     assert np.linalg.norm(moved["vertices_mm"][-1, 0] - own.goal[0], axis=-1).mean() < 0.5
 
 
+def test_a_gripper_that_is_not_free_stays(folder, own):
+    """One vertex is asked to move 10 mm, which the other gripper can do."""
+    asked = np.full_like(own.rods.vertices[:1], np.nan)
+    asked[:, 25] = own.rods.vertices[:1, 25] + [0.0, 10.0, 0.0]
+    np.savez(folder / "one.npz", vertices_mm=asked)
+    assert main([*words(folder, own, "one.npz"), "--free", "end-shift,end-turn"]) == 0
+    path = np.genfromtxt(folder / "path.csv", delimiter=",", names=True)
+    for name in path.dtype.names:
+        assert not name.startswith("start_") or np.ptp(path[name]) == 0, name
+
+
 @pytest.mark.thorough
 def test_a_target_out_of_reach_is_said(folder, own, capsys):
     asked = np.full_like(own.goal, np.nan)
