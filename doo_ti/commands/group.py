@@ -139,7 +139,7 @@ def _summary(scene: "GroupScene", moments: "list[GroupSolution]", out: Path) -> 
 def _overlap(scene: "GroupScene") -> str | None:
     """Which rods begin inside an obstacle or each other; None where none do."""
     rods, around = scene.group.rods, scene.surroundings
-    if not around:
+    if around.radius is None:
         return None
     radius = np.broadcast_to(np.ravel(around.radius), len(rods))
     for name, rod, own in zip(scene.names, rods, radius, strict=True):

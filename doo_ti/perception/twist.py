@@ -171,16 +171,17 @@ def estimate_twist(
 
 
 def _moved_by_noise(curves: TwistCurves, phi: np.ndarray) -> np.ndarray:
-    """(K,) rad: how far the minima at ``phi`` (K,) move with more noise in the marks, root mean square."""
-    seen, count, copies = curves.observations, curves.observations.count, np.arange(REPEATS)[:, None]
+    """(K,) rad: how far the minima at ``phi`` (K,) move with more noise in the marks, root mean square. The noise of an
+    observation depends on its place in its group alone."""
+    seen, count, shape = curves.observations, curves.observations.count, curves.observations.vertices.shape[1:]
+    place, rows = np.arange(count) - curves.first[curves.group], np.tile(np.arange(count), REPEATS)
     sigma = mark_noise(seen.vertices) if seen.sigma is None else np.nan_to_num(seen.sigma)
-    noise = np.random.default_rng(SEED).normal(size=(REPEATS, 1, *seen.vertices.shape[1:])) * sigma.reshape(count, -1, 1)
-    noisy = replace(seen.take(np.tile(np.arange(count), REPEATS)),
-                    vertices=(seen.vertices + noise).reshape(-1, *seen.vertices.shape[1:]))
-    material = curves.material if curves.material.count == 1 else curves.material.take(np.tile(np.arange(count), REPEATS))
-    repeated = TwistCurves.of(noisy, material, (curves.group + curves.count * copies).ravel(), np.tile(curves.offset, REPEATS),
-                              curves.solver, curves.precision, curves.surroundings.take(np.tile(np.arange(count), REPEATS)),
-                              curves.advance)
+    noise = np.random.default_rng(SEED).normal(size=(place.max() + 1, REPEATS, *shape))[place].swapaxes(0, 1)
+    noisy = replace(seen.take(rows), vertices=(seen.vertices + noise * sigma.reshape(count, -1, 1)).reshape(-1, *shape))
+    material = curves.material if curves.material.count == 1 else curves.material.take(rows)
+    groups = (curves.group + curves.count * np.arange(REPEATS)[:, None]).ravel()
+    repeated = TwistCurves.of(noisy, material, groups, curves.offset[rows], curves.solver, curves.precision,
+                              curves.surroundings.take(rows), curves.advance)
     shifts = np.linspace(-FARTHEST, FARTHEST, PLACES)
     value, unsound = repeated.at(np.arange(repeated.count), np.tile(phi, REPEATS)[:, None] + shifts)
     value = np.where((unsound == 0) & np.isfinite(value), value, np.inf)

@@ -98,6 +98,32 @@ def test_what_does_not_converge_is_said_and_written(scene, tmp_path, capsys):
     assert summary["status"]["infeasible"] >= 1 and 0.2 in summary["failed_s"]
 
 
+def test_rods_that_begin_in_each_other_are_named(scene, tmp_path, capsys):
+    scene.write_text("""
+radius_mm = 1.0
+[materials.m]
+bend = 1e5
+twist = 1e5
+[rods.one]
+length_mm = 100
+edges = 10
+position_mm = [0, 0, 0]
+direction = [1, 0, 0]
+start = "frame"
+[rods.other]
+length_mm = 100
+edges = 10
+position_mm = [50, -50, 0.05]
+direction = [0, 1, 0]
+start = "frame"
+""")
+    assert main(["group", str(scene), "--out", str(tmp_path / "f.npz")]) == 1
+    assert "one and other begin 0.05 mm apart" in capsys.readouterr().out
+    scene.write_text(scene.read_text().replace("0.05]", "1.9]"))
+    assert main(["group", str(scene), "--out", str(tmp_path / "f.npz")]) == 0
+    assert "forces on one" in capsys.readouterr().out
+
+
 def test_rods_without_a_place_are_not_drawn(scene, tmp_path, capsys):
     scene.write_text(PULLED.replace("time_s = 0.2", "time_s = 0.0"))
     assert main(drawn(scene, tmp_path)) == 1

@@ -152,6 +152,14 @@ def test_stiffness_need_not_be_known(photographed, perceived, tmp_path, capsys):
     assert f"error {np.linalg.norm(found - rods[0], axis=-1).mean():.3f} mm" in printed.out
 
 
+def test_a_seed_and_a_wrong_length(photographed, tmp_path, capsys):
+    """The rod is not clear; without a click nothing is compared from one."""
+    folder, rods = photographed
+    argv = of_images(folder, rods[0], "--out", str(tmp_path / "f.npz"), "--no-picture", "--no-recording")
+    argv[argv.index("--rest-length") + 1] = f"3:{EDGES - 6}"
+    assert main(argv) == 0 and "not clear" in capsys.readouterr().out
+
+
 @pytest.mark.thorough
 def test_a_click_and_no_length(photographed, tmp_path, capsys):
     """The rod begins at the end of the thread near the click, and ends at its other end: of its blunt ends, as detected."""

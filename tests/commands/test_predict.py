@@ -144,6 +144,14 @@ def test_a_scene_with_picture_and_recording(folder, capsys):
     assert written(folder / "f.npz")["material_name"].tolist() == ["silk", "vicryl"]
 
 
+def test_rods_that_are_far_from_their_marks_are_pointed_out(folder, capsys):
+    """Under a hundredth of the stiffness."""
+    main([*words(folder, "seen.npz", "turn.csv"), "--bend", "6e3", "--twist", "1e3"])
+    assert "from its marks on average" in capsys.readouterr().err
+    main(words(folder, "seen.npz", "turn.csv"))
+    assert "warning" not in capsys.readouterr().err
+
+
 def test_a_rod_that_is_lost_is_reported(folder, capsys):
     np.savez(folder / "far.npz", end_position_mm=[[90.0, 0, 0], [300.0, 0, 0]])
     assert main(words(folder, "seen.npz", "far.npz")) == 1

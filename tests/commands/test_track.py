@@ -7,12 +7,13 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from doo_ti import detect
+from doo_ti import Material, Tracker, detect
 from doo_ti.commands.cli import main
 from doo_ti.commands.track import _off_thread
 from doo_ti.vision.rig_files import save_rig
 from doo_ti.vision.tubes import smooth_curve
 from tests.commands.calls import refused, succeeded, written
+from tests.conftest import check_refused
 from tests.perception.test_tracking import EDGES, FRAMES, LENGTH, far_motion, images, rods
 from tests.record.runs import read
 from tests.vision.scenes import three_cameras
@@ -140,6 +141,12 @@ def test_wrong_frames_are_reported(filmed, tmp_path, capsys, change, words):
     frames = filmed / "changed.csv"
     changed(filmed, frames, change)
     refused(capsys, tmp_path, of(filmed, tmp_path / "new" / "f.npz", "--frames", str(frames)), "changed.csv", *words)
+
+
+def test_videos_and_single_cameras_are_refused(filmed, tmp_path, capsys):
+    (filmed / "v.mp4").write_bytes(b"\x00\x8f")
+    refused(capsys, tmp_path, of(filmed, tmp_path / "new" / "f.npz", "--frames", str(filmed / "v.mp4")), "v.mp4", "a video")
+    check_refused("one camera", Tracker, three_cameras().take([0]), np.full(5, 3.0), Material(1e5, 1e5))
 
 
 @pytest.mark.parametrize("change, words", [

@@ -106,6 +106,7 @@ def test_a_rod_that_is_pulled_too_far_is_lost_alone():
     prediction = predict(rods, MATERIAL, clamps, path)
     assert prediction.status[:, 0].tolist() == [Status.CONVERGED, Status.INFEASIBLE, prediction.status[2, 0]]
     assert prediction.followed.tolist() == [[True, True], [False, True], [False, True]]
+    assert not prediction.stable[1:, 0].any() and not prediction.jumps[1:, 0].any()
     assert np.isnan(prediction.vertices[1, 0, 1:]).all() and np.isfinite(prediction.vertices[:, 1]).all()
     alone = predict(rods.take([1]), MATERIAL, clamps.take([1]), ClampPath(np.arange(3.0), end_position=positions[:, 1:]))
     np.testing.assert_array_equal(prediction.quaternions[:, 1], alone.quaternions[:, 0])

@@ -112,6 +112,29 @@ def test_the_size_may_be_given_and_extrinsics_lie_beside(tmp_path):
     assert (found.cameras[0].width, found.cameras[0].height) == SIZE
 
 
+@pytest.mark.parametrize("kind", ["!!opencv-matrix", ""])
+def test_one_camera_of_opencv_or_ros(tmp_path, kind):
+    def entry(name: str, rows: int, numbers) -> str:
+        size = f"   rows: {rows}\n   cols: {len(numbers) // rows}\n"
+        return f"{name}: {kind}\n{size}   dt: d\n   data: {list(map(float, numbers))}\n"
+
+    text = "%YAML:1.0\n---\nimage_width: 640\nimage_height: 480\n" + entry("camera_matrix", 3, MATRIX.ravel()) + entry(
+        "distortion_coefficients", 5, (0.1, -0.02, 1e-3, 0.0, 0.01))
+    (tmp_path / "camera.yml").write_text(text if kind else text.partition("---")[2].replace("   dt: d\n", ""))
+    (camera,) = load_rig(tmp_path / "camera.yml").cameras
+    wanted = cv2.projectPoints(points(), np.zeros(3), np.zeros(3), MATRIX, np.array([0.1, -0.02, 1e-3, 0.0, 0.01]))[0][:, 0]
+    np.testing.assert_allclose(camera.project(points()), wanted, atol=1e-8)
+    (tmp_path / "bad.yml").write_text(text.replace("rows: 3", "rows: 4"))
+    check_refused("camera_matrix|K|matrix", load_rig, tmp_path / "bad.yml")
+
+
+def test_a_unit_may_be_stated_in_mm(tmp_path):
+    stereo(tmp_path / "stereo.yml")
+    shift = load_rig(tmp_path / "stereo.yml", RigReading(unit=37.5)).cameras[1].translation
+    np.testing.assert_allclose(shift, 37.5 * SHIFT)
+    check_refused("unit", RigReading, unit=0.0)
+
+
 FISHEYE = (0.02, 0.01, -0.003, 0.0005)
 
 

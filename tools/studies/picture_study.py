@@ -48,7 +48,7 @@ def pose(rng: np.random.Generator, load: float, ratio: float) -> np.ndarray:
         rolls = [Rotation.from_euler("x", rng.uniform(-0.8, 0.8)) for _ in turns]
         start, end = (turn * roll for turn, roll in zip(turns, rolls, strict=True))
         rods, stable = equilibria(DEGREE, ratio, np.array([[0, 0, load]]), start.as_matrix()[None], span[None],
-                                  end.as_matrix()[None], np.zeros((DEGREE + 1, 3)))
+                                  end.as_matrix()[None], np.zeros((DEGREE + 1, 3)), np.ones(DEGREE + 1))
         if stable[0]:
             found = rods.points_at(np.linspace(0, 1, 6001))[0]
             return LENGTH * (found - 0.5 * (found.min(axis=0) + found.max(axis=0)))
