@@ -154,7 +154,7 @@ def _lines(rods: HeldRods, stepping, prediction, result: dict, summary: dict) ->
              *results.rows(("infeasible", _inside(rods, prediction))), *results.force_lines(result, 1),
              f"  far clamp   at the end turned about the rod by {_range(summary['end_rotation_deg'])}, total twist "
              f"{_range(summary['total_twist_deg'])}"]
-    where = "all stayed on their branch"
+    where = "all stayed on their branch" + ", as far as they were followed" * bool(len(lost))
     if falls:
         where = f"to another branch, {len({fall['rod'] for fall in falls})} of {count} rods"
     if stepping is None:
