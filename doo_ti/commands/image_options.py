@@ -176,24 +176,22 @@ def warn_of_length(options: Namespace, length: float) -> None:
 
 
 def warn_of_rig(options: Namespace, sets, length: float, verdicts: np.ndarray, detected: Sequence[list]) -> None:
-    """Print a warning where found rods of ``length`` mm are in another unit, and where the lines ``detected`` in the first
-    clicked set that is not clear fit together much better if the rig's file is read otherwise, by options that were not given.
-    """
+    """Print a warning where found rods of ``length`` mm are in another unit, and, where no rod is clear, if the lines
+    ``detected`` in the first clicked set fit together much better with the rig's file read otherwise, by options that were not
+    given."""
     from doo_ti.perception.perceive import PerceptionVerdict
     from doo_ti.perception.seeds import fit_better
 
     if likely_unit(length) or (verdicts != PerceptionVerdict.NOT_FOUND).any():  # of what is not found a unit explains some
         warn_of_length(options, length)
-    unclear = np.flatnonzero(verdicts != PerceptionVerdict.CLEAR)
-    if sets.clicks is None or not len(unclear):
+    if sets.clicks is None or (verdicts == PerceptionVerdict.CLEAR).any():
         return
-    row = unclear[0]
     others = {option: other for other, _, option in sets.rig.read_otherwise() if other.reading.unit is None}
     try:
         others["--rig-lens fisheye"] = load_rig(options.rig, replace(sets.rig.reading, lens="fisheye")).only(sets.rig.names)
     except InputError:
         pass  # a file that states another lens
-    better = fit_better(sets.rig, others, detected[row], sets.clicks[row])
+    better = fit_better(sets.rig, others, detected[0], sets.clicks[0])
     if better:
         warn(f"{in_line(options.rig)}: the images fit together better with {' or '.join(better)}; give it if the file is so")
 
