@@ -244,7 +244,8 @@ class Servo:
                 step[:, 6:9] = there.end_position - origin.end_position
             tight = np.maximum(least[waiting] - self._slack(there, waiting), 0.0)
             # Drawn in, a gripper may leave its box again.
-            self.clamps = put_rows(self.clamps, waiting, boxed(drawn_in(there, tight, stiff[waiting], moves), origin, boxes))
+            there = boxed(drawn_in(there, tight, stiff[waiting], moves), origin, boxes)
+            self.clamps, around = put_rows(self.clamps, waiting, there), self._around.take(waiting)
             model = self._relaxed(waiting)
             every = len(waiting) == len(usable)
             by_step, targets = (columns, self._targets) if every else (columns[waiting], self._targets.take(waiting))
@@ -256,10 +257,8 @@ class Servo:
             distance = targets.distance(shapes + self._offset[waiting])
             size = np.linalg.norm(step, axis=1)
             nearer = self._aiming[waiting] | (distance <= WORSE * here[waiting] + ROUNDING)
-            nearer &= self._slack(self.clamps.take(waiting), waiting) >= least[waiting] - EXACT * length
-            around = self._around.take(waiting)
-            free = np.minimum(gap_of_held(origin, self._edge, around), 0.0)
-            nearer &= gap_of_held(self.clamps.take(waiting), self._edge, around) >= free
+            nearer &= self._slack(there, waiting) >= least[waiting] - EXACT * length
+            nearer &= gap_of_held(there, self._edge, around) >= np.minimum(gap_of_held(origin, self._edge, around), 0.0)
             follows = (off <= NONLINEAR * size_of(linear) + NONLINEAR_MM) & nearer
             good = model.converged & model.stable & (follows | (size == 0))
             done = waiting[good]
