@@ -26,7 +26,7 @@ from doo_ti.manipulation.equilibria import CLEAR, Clearance, Equilibria, Shapes,
 from doo_ti.manipulation.model import Model, change_between
 from doo_ti.manipulation.targets import ServoOptions, Targets, all_goals, require_free
 from doo_ti.motion.predict import predict
-from doo_ti.rod.material import Material
+from doo_ti.rod.material import Material, doubt_marks
 from doo_ti.rod.types import POSES, Clamp, Clamps, Configuration, unit_up
 from doo_ti.system.arguments import owning, typed
 from doo_ti.system.errors import InputError, require_whole
@@ -289,3 +289,4 @@ def _check(rod: Configuration, material: Material, clamps: Clamps, targets: Targ
         raise InputError("plan_manipulation", "obstacles", "with friction", "give obstacles without friction")
     if not all((np.asarray(kind) >= Clamp.TANGENT).all() for kind in (clamps.start, clamps.end)):
         raise InputError("plan_manipulation", "clamps", "that hold no direction", "give clamps that hold tangents or frames")
+    doubt_marks("Targets", "vertices", targets.vertices, float(rod.rest_length.max()))

@@ -35,7 +35,7 @@ from doo_ti.rod.frames import (
     tangent_from_quaternion,
     total_twist,
 )
-from doo_ti.rod.material import Material, Rows
+from doo_ti.rod.material import Material, Rows, doubt_marks
 from doo_ti.rod.types import Clamp, Clamps, Configuration, Solution, finite_rods, put_rods
 from doo_ti.system.arguments import owning, typed
 from doo_ti.system.errors import InputError
@@ -203,6 +203,7 @@ def require_matching(rod: Configuration, material: Material, clamps: Clamps, tar
     if apart > length:
         raise InputError("Servo", "clamps", f"{apart:.4g} mm apart, and the rod {length:.4g} mm long",
                          "bring them within its reach")
+    doubt_marks("Targets", "vertices", targets.vertices, float(rod.rest_length.max()))
     if not replace(material, rest_curvature=None).is_isotropic:
         raise InputError("Servo", "material", "not round, or not the same all along the rod", "give Material(bend, twist)")
 

@@ -267,6 +267,8 @@ def test_marks_in_metres_are_warned_of_once():
     servo = servo_of(own)
     with pytest.warns(UserWarning, match="give mm"):
         servo.step(own.rods.vertices / 1000)
+    with pytest.warns(UserWarning, match="Targets.*give mm"):
+        servo_of(own, targets=d.Targets(own.goal / 1000))
     servo.step(own.rods.vertices / 1000)
     assert servo.material.EI is None
 
