@@ -118,7 +118,7 @@ def _measured(observations: Observations, text: str) -> Observations:
     if not 1 / MOST_OFF < lengths.sum() / arcs < MOST_OFF:
         raise InputError(given.SOURCE, "--rest-length", f"{lengths.sum():.4g} mm, but arcs through the marks are {arcs:.4g} mm "
                          "long", "give the length from the first mark to the last along the rod in mm, and the --unit of the "
-                         "marks")
+                         "marks; those of noisy marks in rest_length_mm of the file")
     return measured
 
 
