@@ -50,6 +50,7 @@ KEYS_IN_TABLES = {
     "total_twist_deg": ("observation", (), ("total_twist_deg",)),
     "start_frame": ("observation", (3, 3), frame_columns("start_frame")),
     "end_frame": ("observation", (3, 3), frame_columns("end_frame")),
+    **{f"{end}_quaternion": ("observation", (4,), tuple(f"{end}_q{part}" for part in "wxyz")) for end in ("start", "end")},
     "up": ("observation", (3,), tuple(f"up_{axis}" for axis in AXES)),
     "spacing_error": ("observation", (), ("spacing_error",)),
 }

@@ -169,6 +169,6 @@ def frame_of_quaternion(path: Path, field: str, quaternion: np.ndarray) -> np.nd
     length = np.linalg.norm(quaternion, axis=-1, keepdims=True)
     wrong = np.flatnonzero(~(np.abs(length[:, 0] - 1) < LARGEST_MISFIT))
     if len(wrong):
-        raise InputError(path, field, f"moment {wrong[0]} has a quaternion of length {length[wrong[0], 0]:.4g}",
+        raise InputError(path, field, f"row {wrong[0]} has a quaternion of length {length[wrong[0], 0]:.4g}",
                          "give unit quaternions, the scalar as qw")
     return matrix_from_quaternion(quaternion / length)

@@ -140,7 +140,7 @@ def test_a_path_at_equal_intervals(tmp_path):
 
 
 @pytest.mark.parametrize("names, values, options, said", [
-    (["end_qw", "end_qx", "end_qy", "end_qz"], [[1.0, 0, 0, 0], [2, 0, 0, 0]], {}, "moment 1 has a quaternion of length 2"),
+    (["end_qw", "end_qx", "end_qy", "end_qz"], [[1.0, 0, 0, 0], [2, 0, 0, 0]], {}, "row 1 has a quaternion of length 2"),
     (["end_qx", "end_qy", "end_qz"], np.zeros((2, 3)), {}, "end_qw: the column is missing"),
     (["end_x_m", "end_z_m"], np.zeros((2, 2)), {}, "end_y_m: the column is missing"),
     (["end_rx", "end_ry", "end_rz", "end_roll", "end_pitch", "end_yaw"], np.zeros((2, 6)), {}, "rotation vector and as turns"),

@@ -7,6 +7,7 @@ import pyarrow
 import pyarrow.csv
 import pyarrow.parquet
 import pytest
+from scipy.spatial.transform import Rotation
 
 from doo_ti import InputError, Observations, load_observations, save_observations
 from doo_ti.io.observation_tables import write_rod_table
@@ -34,6 +35,22 @@ def test_files_are_lossless(tmp_path, rng, suffix):
 def test_one_sigma_stays_one_number(tmp_path, rng):
     save_observations(tmp_path / "x.csv", Observations(wavy_vertices(rng), sigma=0.12))
     assert load_observations(tmp_path / "x.csv").sigma.shape == ()
+
+
+def test_frames_may_be_quaternions(tmp_path, rng):
+    """Against SciPy, in a table and in an npz; not beside frames."""
+    turns, marks = Rotation.random(2, rng=rng), wavy_vertices(rng)[:2]
+    scalar_first = turns.as_quat()[:, [3, 0, 1, 2]]
+    np.savez(tmp_path / "x.npz", vertices_mm=marks, start_quaternion=scalar_first)
+    first = np.arange(marks.shape[1]) == 0
+    columns = {"observation": np.repeat([0, 1], len(first)), "vertex": np.tile(np.arange(len(first)), 2)}
+    columns |= {f"{axis}_mm": marks[..., k].ravel() for k, axis in enumerate("xyz")}
+    columns |= {f"start_q{part}": np.where(first, scalar_first[:, k, None], np.nan).ravel() for k, part in enumerate("wxyz")}
+    write(tmp_path / "x.csv", columns)
+    for name in ("x.npz", "x.csv"):
+        np.testing.assert_allclose(load_observations(tmp_path / name).start_frame, turns.as_matrix(), atol=1e-12)
+    np.savez(tmp_path / "y.npz", vertices_mm=marks, start_quaternion=scalar_first, start_frame=turns.as_matrix())
+    check_refused("start_quaternion", load_observations, tmp_path / "y.npz")
 
 
 def test_a_plain_csv_written_by_hand(tmp_path):
