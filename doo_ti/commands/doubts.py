@@ -55,15 +55,15 @@ def warn_of_turns(observations: Observations, index: np.ndarray, turns: np.ndarr
 
 
 def warn_of_distance(observations: Observations, distance: np.ndarray) -> None:
-    """Print a warning where rods at rest (R,), of R observations or of these for each of several materials, are by ``distance``
-    (R,) mm of Eq. 1 farther from their marks than :data:`FAR_OFF` of their length."""
+    """Print a warning where the ``distance`` (R,) mm of rods at rest from their marks (Eq. 1) is more than :data:`FAR_OFF` of
+    their length. The rods are those of the observations, once for each of several materials."""
     length = observations.rest_length.sum()
     worst = int(np.argmax(np.nan_to_num(distance)))
     if distance[worst] > FAR_OFF * length:
         say(observations.source, f"at rest the rod of observation {observations.labels[worst % observations.count]} is "
-            f"{distance[worst]:.3g} mm from its marks on average, {distance[worst] / length:.0%} of its length: another "
-            f"material or --up, or edges of {observations.rest_length.max():.3g} mm, which clamps hold whole, are too long "
-            "(doo-ti convert IN OUT --edges N)")
+            f"{distance[worst]:.3g} mm from its marks on average, {distance[worst] / length:.0%} of its length: check "
+            f"the material and --up, or use shorter edges (doo-ti convert IN OUT --edges N): clamps hold a whole one, "
+            f"{observations.rest_length.max():.3g} mm")
 
 
 def say(source, *doubts: str | None) -> None:

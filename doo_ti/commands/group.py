@@ -138,6 +138,8 @@ def _summary(scene: "GroupScene", moments: "list[GroupSolution]", out: Path) -> 
 
 def _overlap(scene: "GroupScene") -> str | None:
     """Which rods begin inside an obstacle or each other; None where none do."""
+    from doo_ti.relaxation.contact_table import DEEPEST_STEP
+
     rods, around = scene.group.rods, scene.surroundings
     if around.radius is None:
         return None
@@ -151,7 +153,7 @@ def _overlap(scene: "GroupScene") -> str | None:
         early, late = (pair.ravel() for pair in np.meshgrid(np.arange(rods[one].edges), rods[one].edges + 1
                                                             + np.arange(rods[other].edges)))
         apart = smallest_of_pairs(vertices, early, late, lambda _, distance: distance)[0]
-        if apart < 0.1 * min(radius[one], radius[other]):
+        if apart < DEEPEST_STEP * radius.min():
             return f"{in_line(scene.names[one])} and {in_line(scene.names[other])} begin {apart:.2g} mm apart"
     return None
 

@@ -30,7 +30,8 @@ LOSSES = ("bend_damping", "twist_damping", "drag", "quadratic_drag")
 MOST_STRETCH = 0.1  # by which the rod's length may differ from that of THETA.json
 MOST_LENGTHS = 100.0  # of a rod, between its clamps
 FAR_OFF, NEAR = 0.05, 0.01
-"""Of the rod's length, from a clamp to where its motion begins: more is no error of measurement; with less it begins there."""
+"""Shares of the rod's length, from a clamp to where its motion begins: more than the first is no error of measurement; up to
+the second it begins at the clamp."""
 
 
 # --- options -------------------------------------------------------------------------------------------------------------
@@ -241,9 +242,7 @@ def warn_of(held: HeldRods, options: Namespace) -> None:
     """Print a warning where a rod is implausible, and where its path begins farther from its clamps than :data:`FAR_OFF` of it:
     displacements, perhaps, or the path of another rod. To be called once everything is checked."""
     doubts.warn(held.observations, held.surroundings, **loading.stated(options))
-    first = held.path.at(0, held.clamps)
-    for name in ("start_position", "end_position"):
-        off = np.linalg.norm(getattr(first, name) - getattr(held.clamps, name), axis=-1)
+    for name, off in _begins_off(held).items():
         if off.max() > FAR_OFF * held.observations.rest_length.sum():
             warn(f"{held.path.source}: {name}_mm: the motion begins {off.max():.4g} mm from the clamp of observation "
                  f"{held.observations.labels[off.argmax()]}; give --relative where these are displacements")
@@ -251,16 +250,20 @@ def warn_of(held: HeldRods, options: Namespace) -> None:
 
 
 def warn_of_start(held: HeldRods, rods: Configuration) -> None:
-    """Print a warning where ``rods`` (R), at rest where their path begins, are far from the marks of their observations, and
-    the path begins there."""
+    """Print a warning where ``rods`` (R), at rest where their paths begin, are far from the marks of their observations; of
+    those whose paths begin where they were observed."""
     from doo_ti.rod.metric import distance
 
-    first, count = held.path.at(0, held.clamps), held.observations.count
-    off = np.max([np.linalg.norm(getattr(first, name) - getattr(held.clamps, name), axis=-1)
-                  for name in ("start_position", "end_position")], axis=0)
-    far = distance(rods, held.observations, np.arange(rods.count) % count)
-    doubts.warn_of_distance(held.observations, np.where(np.resize(off, len(far)) > NEAR * held.observations.rest_length.sum(),
-                                                        0.0, far))
+    row = np.arange(rods.count) % held.observations.count
+    there = np.max([*_begins_off(held).values()], axis=0) <= NEAR * held.observations.rest_length.sum()
+    doubts.warn_of_distance(held.observations, np.where(there[row], distance(rods, held.observations, row), 0.0))
+
+
+def _begins_off(held: HeldRods) -> dict[str, np.ndarray]:
+    """(N,) mm, of both ends by their names: how far the path begins from the clamps of the observations."""
+    first = held.path.at(0, held.clamps)
+    return {name: np.linalg.norm(getattr(first, name) - getattr(held.clamps, name), axis=-1)
+            for name in ("start_position", "end_position")}
 
 
 # --- theta ---------------------------------------------------------------------------------------------------------------

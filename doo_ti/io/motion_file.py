@@ -23,7 +23,7 @@ from typing import Annotated
 import numpy as np
 
 from doo_ti.io.arrays import AXES, checked_arrays, frame_columns, read_numbers
-from doo_ti.io.pose_table import frame_of_quaternion, read_poses
+from doo_ti.io.pose_table import put_frames, read_poses
 from doo_ti.rod.frames import (
     angle_about,
     is_half_turn,
@@ -255,11 +255,7 @@ def _read(path: Path, named: Mapping[str, str] | None) -> tuple[dict[str, np.nda
         for key in arrays.keys() & SHAPES.keys():
             if arrays[key].shape != (count, *SHAPES[key]):
                 raise InputError(path, key, f"shape {arrays[key].shape}", f"make it {(count, *SHAPES[key])}: T moments")
-        for end in ("start", "end"):
-            if (quaternion := arrays.pop(f"{end}_quaternion", None)) is not None:
-                if f"{end}_frame" in arrays:
-                    raise InputError(path, f"{end}_quaternion", f"given beside {end}_frame", "give one of them")
-                arrays[f"{end}_orientation"] = frame_of_quaternion(path, f"{end}_quaternion", quaternion)
+        put_frames(path, arrays, "orientation")
     return arrays, {}
 
 

@@ -26,7 +26,7 @@ from doo_ti.io.arrays import read_npz
 from doo_ti.io.curves import Curves, is_motive, is_nexus, is_polyline, read_motive, read_nexus, read_polylines
 from doo_ti.io.foreign import read_mujoco, read_usd
 from doo_ti.io.observation_tables import KEYS_IN_TABLES, LABELS, RENAMED, read_table, write_table
-from doo_ti.io.pose_table import frame_of_quaternion
+from doo_ti.io.pose_table import put_frames
 from doo_ti.rod.material import mm_in
 from doo_ti.rod.observations import KEYS, LENGTHS, Observations
 from doo_ti.rod.types import unit_up
@@ -65,20 +65,11 @@ def read_keys(path: Path, columns=None) -> tuple[bytes, dict[str, np.ndarray]]:
     if path.suffix == ".npz":
         if columns is not None:
             raise InputError(path, "columns", "an npz has keys", "leave `columns` out")
-        return content, _with_frames(path, _labelled(read_npz(path, content, (*KEYS_IN_TABLES, LABELS, *NAMES))))
-    return content, _with_frames(path, read_table(path, content, _renamed(path, columns)))
-
-
-def _with_frames(path: Path, keys: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """``keys`` with the frames of quaternions (D, 4), the scalar first, of grippers whose x axis points along the rod."""
-    for name in ("start_quaternion", "end_quaternion"):
-        if name in keys:
-            frame = name.replace("quaternion", "frame")
-            quaternion = real_array(path, name, keys.pop(name), "store (D, 4) real numbers").astype(np.float64)
-            if frame in keys or quaternion.ndim != 2 or quaternion.shape[1] != 4:
-                raise InputError(path, name, f"beside {frame}, or of shape {quaternion.shape}", f"give (D, 4), or {frame}")
-            keys[frame] = frame_of_quaternion(path, name, quaternion)
-    return keys
+        keys = _labelled(read_npz(path, content, (*KEYS_IN_TABLES, LABELS, *NAMES)))
+    else:
+        keys = read_table(path, content, _renamed(path, columns))
+    put_frames(path, keys, "frame")  # of grippers whose x axis points along the rod
+    return content, keys
 
 
 def _labelled(keys: dict[str, np.ndarray]) -> dict[str, np.ndarray]:

@@ -22,7 +22,7 @@ import numpy as np
 
 from doo_ti.io.arrays import AXES, LENGTH_ENDINGS, NEARLY, CsvTable, frame_columns, given_columns, listed, read_csv, read_npz
 from doo_ti.rod.frames import matrix_from_quaternion, rotation_matrix
-from doo_ti.system.errors import InputError
+from doo_ti.system.errors import InputError, real_array
 from doo_ti.system.files import read_content
 
 ENDS = ("start", "end")
@@ -164,8 +164,21 @@ def _columns(table: CsvTable, local: dict[str, str], names: list[str]) -> list[n
     return [table.numbers(name) for name in whole.values()]
 
 
+def put_frames(path: Path, arrays: dict[str, np.ndarray], name: str) -> None:
+    """In place of ``start_quaternion`` and ``end_quaternion`` in ``arrays``, their frames as ``start_NAME`` and ``end_NAME``.
+    Raises InputError for a quaternion beside a frame of the same end."""
+    for end in ENDS:
+        if (quaternion := arrays.pop(f"{end}_quaternion", None)) is not None:
+            if f"{end}_frame" in arrays:
+                raise InputError(path, f"{end}_quaternion", f"given beside {end}_frame", "give one of them")
+            arrays[f"{end}_{name}"] = frame_of_quaternion(path, f"{end}_quaternion", quaternion)
+
+
 def frame_of_quaternion(path: Path, field: str, quaternion: np.ndarray) -> np.ndarray:
     """(T, 3, 3) of (T, 4) unit quaternions, the scalar first. Raises InputError for others."""
+    quaternion = real_array(path, field, quaternion, "give unit quaternions, the scalar as qw").astype(np.float64)
+    if quaternion.ndim != 2 or quaternion.shape[1] != 4:
+        raise InputError(path, field, f"shape {quaternion.shape}", "give four numbers in each row, the scalar first")
     length = np.linalg.norm(quaternion, axis=-1, keepdims=True)
     wrong = np.flatnonzero(~(np.abs(length[:, 0] - 1) < LARGEST_MISFIT))
     if len(wrong):

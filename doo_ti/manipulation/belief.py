@@ -44,8 +44,8 @@ PERSISTENT = 3.0
 """Moments to which an error of the model is common. With 1 a tenth of the intervals are too narrow, with 10 all are wide."""
 QUANTILE = 1.96  # standard deviations of a 95 % interval
 MISFIT = 3.0
-"""Times the noise: intervals are wider by what marks are off beyond that (Birge's ratio), as where they are late, or the rod
-touches what the model does not know."""
+"""Where the misfit is more than so many times the noise, intervals are wider by the factor above that (Birge's ratio): marks
+may be late, or the rod may touch something that the model does not know."""
 
 
 @dataclass(frozen=True)

@@ -74,15 +74,6 @@ def size_of(vectors: np.ndarray, visible: np.ndarray | None = None) -> np.ndarra
     return np.sqrt(np.sum(vectors**2, axis=(1, 2)) / count)
 
 
-def shown_distance(apart: np.ndarray, shares: np.ndarray, visible: np.ndarray) -> np.ndarray:
-    """(B,) root mean square lengths of ``apart`` (B, V, 3), weighted by ``shares`` (B, V), of what is ``visible``; infinite
-    where nothing that counts is."""
-    shares = shares * visible
-    square = np.sum(shares * np.sum(np.where(visible[..., None], apart, 0.0) ** 2, axis=-1), axis=1)
-    total = shares.sum(axis=1)
-    return np.where(total > 0, np.sqrt(square / np.where(total > 0, total, 1.0)), np.inf)
-
-
 # --- poses of grippers ---------------------------------------------------------------------------------------------------
 
 def moved(clamps: Clamps, change: np.ndarray) -> Clamps:

@@ -43,7 +43,6 @@ from doo_ti.manipulation.model import (
     padded,
     put_rows,
     shortened,
-    shown_distance,
     size_of,
     slack,
     slack_gradient,
@@ -171,7 +170,9 @@ class Servo:
             doubt_marks("Servo.step", "seen", seen, float(self._last.rest_length.max()))
         seen = padded(seen) if self._padded else seen
         visible = np.isfinite(seen).all(axis=-1)
-        self._seen_distance = shown_distance(self._targets.places - seen, self._targets.shares, visible)
+        shown = (self._targets.shares * visible).sum(axis=1)  # of what the target asks
+        by_marks = self._targets.distance(np.where(visible[..., None], seen, self._targets.places))
+        self._seen_distance = np.where(shown > 0, by_marks / np.sqrt(np.where(shown > 0, shown, 1.0)), np.inf)
         self._blind = np.where(visible.any(axis=1), 0, self._blind + 1)
         self._follow_snaps(seen, visible)
         rests, modes = self._relaxed(np.arange(len(visible))), self._belief.modes if self._belief.uneven else None
@@ -226,13 +227,13 @@ class Servo:
         start = self.clamps
         here, self.distance = self._targets.distance(expected + self._offset), self.distance.copy()
         waiting = np.arange(len(usable))
-        refused = np.zeros(len(usable), dtype=bool)
+        refused, gain = np.zeros(len(usable), dtype=bool), np.zeros(len(usable))
         longest = np.where(usable, self._length, 0.0)
-        gain = np.zeros(len(usable))
         length, stiff = self._last.rest_length.sum(), self._belief.held(self._edge)
         loose = self._slack(start, np.arange(len(usable)))
         least, moves = np.minimum(loose, self._least_slack()), self._options.moves
         tighter, room = -slack_gradient(start, stiff) * moves / self._options.scale, loose - least
+        free = np.minimum(gap_of_held(start, self._edge, self._around), 0.0)  # a gripper inside an obstacle goes no deeper
         to_aim, boxes = self._to_aims(), (self._options.start_box, self._options.end_box)
         for attempt in range(TRIES):
             most = longest if attempt < TRIES - 1 else np.zeros_like(longest)
@@ -245,7 +246,7 @@ class Servo:
             tight = np.maximum(least[waiting] - self._slack(there, waiting), 0.0)
             # Drawn in, a gripper may leave its box again.
             there = boxed(drawn_in(there, tight, stiff[waiting], moves), origin, boxes)
-            self.clamps, around = put_rows(self.clamps, waiting, there), self._around.take(waiting)
+            self.clamps = put_rows(self.clamps, waiting, there)
             model = self._relaxed(waiting)
             every = len(waiting) == len(usable)
             by_step, targets = (columns, self._targets) if every else (columns[waiting], self._targets.take(waiting))
@@ -258,7 +259,7 @@ class Servo:
             size = np.linalg.norm(step, axis=1)
             nearer = self._aiming[waiting] | (distance <= WORSE * here[waiting] + ROUNDING)
             nearer &= self._slack(there, waiting) >= least[waiting] - EXACT * length
-            nearer &= gap_of_held(there, self._edge, around) >= np.minimum(gap_of_held(origin, self._edge, around), 0.0)
+            nearer &= gap_of_held(there, self._edge, self._around.take(waiting)) >= free[waiting]
             follows = (off <= NONLINEAR * size_of(linear) + NONLINEAR_MM) & nearer
             good = model.converged & model.stable & (follows | (size == 0))
             done = waiting[good]
@@ -336,7 +337,7 @@ class Servo:
         return slack(held(clamps, self._belief.clip[rods]), self._last.rest_length.sum(), stiff)
 
     def _least_slack(self) -> np.ndarray:
-        """(B,) mm."""
+        """(B,) mm of slack that grippers keep: the option's, and what is not known of the clips."""
         return self._options.slack * self._last.rest_length.sum() + self._belief.clip_margin
 
     def _relaxed(self, rods: np.ndarray) -> Solution:

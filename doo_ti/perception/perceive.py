@@ -57,8 +57,8 @@ class PerceptionVerdict(IntEnum):
     AMBIGUOUS  either of two may be the rod; or it has not converged, is shorter than its paths, or in all cameras but one
                explains less than half of the line, leaves a piece out or passes along it twice; or a vertex is uncertain by a
                tenth of the rod's length
-    NOT_FOUND  not within 1 px of the line in two cameras, and 3 px off in one, mean along what is not hidden in all of them, or
-               more than half is: other cameras, a wrong rig, seed or length
+    NOT_FOUND  mean distance above 1 px in all cameras but one and above 3 px in one, also without the edges that no camera
+               shows, or more than half of all are such edges: other cameras, a wrong rig, seed or length
     """
 
     CLEAR = 0
@@ -157,8 +157,9 @@ class Perception:
         return np.sort(np.nan_to_num(widths), axis=1)[:, self._two] > MOST_SKIPPED
 
     def _far_off(self, error: np.ndarray) -> np.ndarray:
-        """(A,) bool: by ``error`` (A, C) px. Two cameras determine a rod: others may be occluded. One that does not see the rod
-        counts as far off. A rod that goes on beyond the thread is far off there."""
+        """(A,) bool: whether the mean distances ``error`` (A, C) px say that a rod is not on the line. Two cameras that fit are
+        enough, as others may be occluded; one that does not see the rod does not fit. A rod that explains all of the line may
+        go on beyond it."""
         error = np.sort(np.where(np.isfinite(error), error, np.inf), axis=1)
         far = (error[:, self._two] > FITTING_PX) & (error[:, -1] > LOST_PX)
         return far & ~(self.coverage >= COVERED).all(axis=1)
