@@ -152,8 +152,8 @@ class GroupElimination(DenseLoadedElimination):
         self.store_side(rod, line, negated(slope), repeated(0.0 * rod.total, 9))
 
     def substitute(self, rod, found):
-        longest, size, decrement = DenseLoadedElimination.substitute(self, rod, found)
-        return longest, size, decrement + self.keep_forces(rod)
+        largest, size, decrement = DenseLoadedElimination.substitute(self, rod, found)
+        return largest, size, decrement + self.keep_forces(rod)
 
     # --- the border ---
 

@@ -85,7 +85,7 @@ class Chain(PairEnergy):
         self.memory = Scratch(number, stride)
         self.rod_layout, self.edge_layout = rod, edge or edge_layout(isotropic)
         self.functions, self.has_coarse, self.pulls_start = None, False, False  # of an external energy
-        self.moves_start, self.touches = False, False
+        self.has_border, self.touches = False, False
         self.width, (self.largest, self.lane, self.with_lane, self.constant) = number.width, number.lanes()
         self.twist_angle = twist_angle_function(number)
         # What makes AᵀA regular: a share of its trace, and where that is zero a number whose cube, the determinant, is none
@@ -130,7 +130,7 @@ class Chain(PairEnergy):
     def rods(self, tables, head, coarse):
         """The record of the rods at ``head``, with the tables of an external energy if there is one."""
         loose = 0.0 * head.closed
-        if ti.static(self.moves_start):
+        if ti.static(self.has_border):
             loose = head.loose
         return record(
             head=head, edges=tables.rest_length.shape[1], loose=loose, contacts=tables.contacts,
@@ -223,7 +223,7 @@ class Chain(PairEnergy):
         goal = variable(rod.target)
         if ti.static(self.touches):
             goal = plus(goal, scaled(before, ti.select(stepping, 1.0 - scale, zero)))
-        if ti.static(self.moves_start):
+        if ti.static(self.has_border):
             moving = self.step_start(rod, scale, moving, reached, goal)
             reached = plus(reached, rod.head.drift)
         miss = scaled(minus(reached, goal), rod.closed)
@@ -290,7 +290,7 @@ class Chain(PairEnergy):
             closed = ti.min(closed, dot(t, rod.target))
             before = q
         moment = minus(plus(moment, scaled(lever1, carry2)), scaled(lever2, carry1))
-        if ti.static(self.moves_start):
+        if ti.static(self.has_border):
             reached = plus(reached, rod.head.drift)
             height = 2.0 * rod.total * dot(rod.gravity, rod.head.drift)
             potential, magnitude = (potential + height, magnitude + absolute(height))
@@ -311,7 +311,7 @@ class Chain(PairEnergy):
         for e in range(rod.edges):
             edge = self.edge(rod.head, e)
             edge.frame = chosen(lost > 0.5, edge.standing, edge.frame)
-        if ti.static(self.moves_start):
+        if ti.static(self.has_border):
             rod.head.drift = chosen(lost > 0.5, rod.head.drift_standing, rod.head.drift)
         if ti.static(self.touches):
             self.contacts.restore(rod, lost)

@@ -33,12 +33,14 @@ def outer_product(a, b) -> tuple:
 
 @device_functions
 class ContactEnergy(ContactPlaces):
-    """The energy of the contacts of the rods in a pack, in a motion with friction if they ``rub``. ``expects``: steps that are
-    refused are tried again with the contacts they have met."""
+    """The energy of the contacts of the rods in a pack, in a motion with friction if they ``rub``.
 
-    def __init__(self, number, has_grid: bool, rub: bool = False, moves: bool = False, expects: bool = False):
+    takes_met: a refused step is tried again with the contacts that it has met.
+    """
+
+    def __init__(self, number, has_grid: bool, rub: bool = False, moves: bool = False, takes_met: bool = False):
         super().__init__(number, has_grid, moves)
-        self.rub, self.updates_in_steps, self.expects = rub, not rub, expects
+        self.rub, self.updates_in_steps, self.takes_met = rub, not rub, takes_met
 
     def touched(self, rod, index, start, end):
         """Sum up the derivatives of the energy of the contacts of vertex ``index``, at ``end``, and of the edge from ``start``
@@ -64,7 +66,7 @@ class ContactEnergy(ContactPlaces):
         return least - ti.max(rod.contacts.radius, 0.5 * rod.longest)
 
     def touched_by_all(self, rod, index, start, end):
-        """The same, obstacle by obstacle."""
+        """What :meth:`touched` sums up, obstacle by obstacle."""
         zero, some = 0.0 * end[0], 0
         at, before, edge = self.vertex(rod, index), self.vertex(rod, index - 1), minus(end, start)
         room = zero + 1e30
@@ -89,7 +91,7 @@ class ContactEnergy(ContactPlaces):
                 room = ti.min(room, self.far_room(rod, ti.min(previous.value, contact.value)))
             if ti.static(self.rub):
                 # Friction stays as long as its round, however far the rod moves: without it the energy would jump.
-                active = contact.active > 0.5
+                active = contact.kept_between > 0.5
                 if self.some((contact.force > 0.0) | active, zero):
                     if some < 2:
                         self.clear_between(rod, zero)
@@ -100,7 +102,7 @@ class ContactEnergy(ContactPlaces):
         return some
 
     def touched_start(self, rod, index):
-        """The same of vertex ``index`` alone, where a rod begins."""
+        """What :meth:`touched` sums up, of vertex ``index`` alone, where a rod begins."""
         at, zero, some = self.vertex(rod, index), 0.0 * rod.total, 0
         at.room_standing = at.room
         at.room = zero + 1e30
@@ -175,8 +177,8 @@ class ContactEnergy(ContactPlaces):
         close = self.close_lanes(rod, least)
         depth = self.obstacle(rod, o).depth
         near = close & bridging & (low < 2.0 * radius)
-        active = close & (contact.active > 0.5)
-        contact.acts, contact.sagging = zero, zero
+        active = close & (contact.kept_between > 0.5)
+        contact.acts_between, contact.sagging = zero, zero
         between = self.some(near | active, zero)
         if between:
             if some < 2:
@@ -186,7 +188,7 @@ class ContactEnergy(ContactPlaces):
             contact.sagging = sagging
             # Where rounds find an edge inside an obstacle between its ends, its nearest point counts from then on.
             active = active | ((sagging > zero) & (seen.value < radius))
-            contact.active = ti.select(active, zero + 1.0, contact.active)
+            contact.kept_between = ti.select(active, zero + 1.0, contact.kept_between)
             self.add_between(rod, contact, edge, seen, active)
         return between, ti.select(close, low + depth, self.far_room(rod, least))
 
@@ -205,7 +207,7 @@ class ContactEnergy(ContactPlaces):
         self.update_now(rod, contact.of("force"), gap, close)
         pushed = self.push(rod, ti.select(close, contact.force, zero), gap)
         self.add_penalty(rod, pushed.energy, pushed.push * rod.total)
-        self.expect(rod, contact.of("pushes"), contact.force, gap, close, pushed)
+        self.take_met(rod, contact.of("pushes"), contact.force, gap, close, pushed)
         pull = scaled(normal, 0.0 - pushed.push)
         known = self.known_force(rod, contact.force, pushed.push)
         if ti.static(self.updates_in_steps):
@@ -229,27 +231,27 @@ class ContactEnergy(ContactPlaces):
 
     def known_force(self, rod, updated, push):
         """The force of a contact in the residual and in the second derivatives of φ: in a step that updates forces the
-        ``updated`` λ where the contact pushes at all; otherwise its whole ``push``, or none where it is only expected. The
+        ``updated`` λ where the contact pushes at all; otherwise its whole ``push``, or none where it was only met. The
         difference, −κ g, only closes the gap."""
         known = variable((push,))
         if ti.static(self.updates_in_steps):
             known = (ti.select((rod.contacts.update_stiffness > 0.0) & (push > 0.0), updated, push),)
-        if ti.static(self.expects):
+        if ti.static(self.takes_met):
             known = (ti.max(known[0], 0.0 * push),)
         return known[0]
 
-    def expect(self, rod, kept, force, gap, counts, pushed):
+    def take_met(self, rod, kept, force, gap, counts, pushed):
         """After a refused step, add to the derivatives a contact that pushed where the step ended and does not push now.
         ``kept``: where scratch notes whether it pushes, renewed here; ``pushed``: the result of :meth:`push`, changed here."""
-        if ti.static(self.expects):
+        if ti.static(self.takes_met):
             zero, before = 0.0 * gap, kept.value
             pushes = counts & (pushed.push > 0.0)
             kept.value = ti.select(pushes, zero + 1.0, zero)
-            if rod.contacts.lane(0).some_expecting > 0.5:
+            if rod.contacts.lane(0).some_refused > 0.5:
                 stiffness = rod.contacts.stiffness
-                expected = counts & ~pushes & (before > 0.5) & (rod.contacts.expecting > 0.5)
-                choose(pushed, expected, push=force - stiffness * gap, stiffness=stiffness)
-                choose(rod.contacts, expected, expected=zero + 1.0)
+                met = counts & ~pushes & (before > 0.5) & (rod.contacts.refused > 0.5)
+                choose(pushed, met, push=force - stiffness * gap, stiffness=stiffness)
+                choose(rod.contacts, met, has_met=zero + 1.0)
 
     def add_between(self, rod, contact, edge, seen, acts):
         """Add the contact at the nearest point of the edge in the lanes where it ``acts``; in others it may hold any number."""
@@ -258,9 +260,9 @@ class ContactEnergy(ContactPlaces):
         gap = seen.value - rod.contacts.radius
         self.update_now(rod, contact.of("force_between"), gap, acts)
         pushed = self.push(rod, contact.force_between, gap)
-        rod.contacts.closest = ti.min(rod.contacts.closest, ti.select(acts, gap, zero + 1e30))
+        rod.contacts.least_gap = ti.min(rod.contacts.least_gap, ti.select(acts, gap, zero + 1e30))
         own = ti.select(acts, pushed.energy, zero)
-        self.expect(rod, contact.of("pushes_between"), contact.force_between, gap, acts, pushed)
+        self.take_met(rod, contact.of("pushes_between"), contact.force_between, gap, acts, pushed)
         force, stiffness = ti.select(acts, pushed.push, zero), ti.select(acts, pushed.stiffness, zero)
         known = self.known_force(rod, contact.force_between, force)
         if ti.static(self.updates_in_steps):

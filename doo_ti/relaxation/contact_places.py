@@ -69,9 +69,9 @@ class ContactPlaces:
         most = zero + 1e30
         rod.contacts.sums = (zero, zero, zero, zero, most, most, zero)
         rod.contacts.compliance = 1.0 / rod.contacts.stiffness
-        rod.contacts.expected = zero
+        rod.contacts.has_met = zero
         common = rod.contacts.lane(0)  # one number for all rods of the pack, the largest of theirs
-        common.some_expecting = self.largest(rod.contacts.expecting)
+        common.some_refused = self.largest(rod.contacts.refused)
         common.longest_edge = self.largest(rod.longest)
 
     def add_penalty(self, rod, energy, magnitude):
@@ -103,8 +103,8 @@ class ContactPlaces:
                 if self.is_curved(rod, o):
                     contact.curvature = seen.curvature
                 gap, held = value - rod.contacts.radius, self.held(rod, index) > 0.5
-                rod.contacts.deepest = ti.min(rod.contacts.deepest, seen.value)
-                rod.contacts.closest = ti.min(rod.contacts.closest, ti.select(held, 0.0 * gap + 1e30, gap))
+                rod.contacts.least_phi = ti.min(rod.contacts.least_phi, seen.value)
+                rod.contacts.least_gap = ti.min(rod.contacts.least_gap, ti.select(held, 0.0 * gap + 1e30, gap))
         at.least = least
         at.lane(0).nearest_of_all = nearest_of_all
 
@@ -158,7 +158,7 @@ class ContactPlaces:
     def blocked(self, rod, fresh, miss):
         """The ``fresh`` lanes in which the rod's centreline is inside an obstacle, or a clamp (:meth:`pinched`)."""
         zero = 0.0 * rod.total
-        inside = variable((fresh & (rod.contacts.deepest < 0.0),))
+        inside = variable((fresh & (rod.contacts.least_phi < 0.0),))
         if self.some(fresh, zero):
             inside = (inside[0] | (fresh & self.pinched(rod, miss)),)
         return inside[0]

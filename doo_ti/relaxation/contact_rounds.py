@@ -47,7 +47,7 @@ class ContactRounds(ContactEnergy):
                     gap = ti.max(contact.value_between - radius, zero) + slack
                     away = contact.normal_between
                     share = 0.0 - dot(away, between) / ti.max(gap, 1e-6 * radius)
-                    most = ti.select(contact.acts > 0.0, ti.max(most, share), most)
+                    most = ti.select(contact.acts_between > 0.0, ti.max(most, share), most)
         return ti.max(dot(move, move) * self.nearness(rod, index, at), most * most)
 
     # --- rounds ---
@@ -73,14 +73,14 @@ class ContactRounds(ContactEnergy):
         fine = self.is_fine(rod)
         due = rests | (calm & ~fine)
         if ti.static(self.itself):
-            due = due | (moved & ~fine & (rod.contacts.closest < 0.0 - rod.contacts.radius))
+            due = due | (moved & ~fine & (rod.contacts.least_gap < 0.0 - rod.contacts.radius))
         due = due & (lane.active > 0.5)
         again = variable((due,))
         if self.some(due, zero):
             close = self.update_forces(rod, due) <= rod.contacts.tolerance
             choose(rod.contacts, due & close, phase=zero + FINE)
             again = (due & ~(close & fine),)
-        # The next trip evaluates the rod where it is, under the new forces.
+        # The next trip evaluates the rod where it is: the step at hand was computed under the old forces.
         choose(lane, again[0], trying=zero, escaping=zero, step_scale=zero, best=zero + 1e30, idle_trips=zero, aimless=zero,
                returned=zero)
         return again[0]
@@ -126,7 +126,7 @@ class ContactRounds(ContactEnergy):
                 else:  # in no lane a vertex, or the edge that ends there, is close
                     self.update_vertex(rod, contact, due, found)
                     self.note_change(found, contact.force_between, zero)
-                    choose(contact, due, force_between=zero, active=zero)
+                    choose(contact, due, force_between=zero, kept_between=zero)
                     contact.sagging = zero
                 if ti.static(self.rub):
                     found.rubbed = largest_of(found.rubbed, self.update_friction(rod, v, o, due))
@@ -151,7 +151,7 @@ class ContactRounds(ContactEnergy):
         step was refused, unless the rod is deep (:meth:`stiffen`); returns those in which it had grown."""
         stiffness, radius = rod.contacts.stiffness, rod.contacts.radius
         least = ti.max(rod.contacts.first_stiffness, rod.contacts.largest / radius)
-        softer = where & (stiffness > least) & (rod.contacts.closest >= 0.0 - radius)
+        softer = where & (stiffness > least) & (rod.contacts.least_gap >= 0.0 - radius)
         choose(rod.contacts, softer, stiffness=ti.max(stiffness / STIFFER, least))
         return softer
 
@@ -159,7 +159,7 @@ class ContactRounds(ContactEnergy):
         """A larger κ in the lanes ``where`` a step was refused and the rod is deeper than its radius inside an obstacle: forces
         that draw it through are larger than those that κ was chosen for."""
         stiffness, radius = rod.contacts.stiffness, rod.contacts.radius
-        deep = where & (rod.contacts.closest < 0.0 - radius) & (stiffness < STIFFEST * rod.contacts.first_stiffness)
+        deep = where & (rod.contacts.least_gap < 0.0 - radius) & (stiffness < STIFFEST * rod.contacts.first_stiffness)
         choose(rod.contacts, deep, stiffness=STIFFER * stiffness)
 
     def update_vertex(self, rod, contact, due, found):
@@ -174,8 +174,8 @@ class ContactRounds(ContactEnergy):
         zero = 0.0 * rod.total
         old = contact.force_between
         # Where the edge does not bridge the obstacle its nearest point is not known.
-        known = ((contact.acts > 0.0) | (contact.sagging > 0.0)) & (index > 0)
-        gap = ti.select(known, contact.value_between - rod.contacts.radius, zero + 1e6)
+        known = ((contact.acts_between > 0.0) | (contact.sagging > 0.0)) & (index > 0)
+        gap = ti.select(known, contact.value_between - rod.contacts.radius, zero + 1e6)  # far off: no force
         new, begun = self.update_between(rod, index, o, due, gap, self.updated_force(rod, old, gap))
         found.change = largest_of(found.change, begun)
         self.note_change(found, old, new)
@@ -201,8 +201,8 @@ class ContactRounds(ContactEnergy):
         become one."""
         zero = 0.0 * gap
         contact = self.contact(self.vertex(rod, index), o)
-        active = contact.active
-        # Fewer changes than one threshold for both: rounds could take it in and leave it out by turns.
+        active = contact.kept_between
+        # A larger threshold to begin than to end: with one for both, rounds could take it in and leave it out by turns.
         least = ti.select(active > 0.5, zero, 0.5 * rod.contacts.tolerance)
         sags = (contact.sagging > least) & (index > 0)
         lost = due & (active > 0.5) & ~sags
@@ -212,7 +212,7 @@ class ContactRounds(ContactEnergy):
             add(contact, force=ti.select(later, given, zero))
             add(self.contact(self.vertex(rod, index - 1), o), force=ti.select(later, zero, given))
         begun = ti.select(sags & (active < 0.5), ti.max(rod.contacts.stiffness * (0.0 - gap), zero), zero)
-        contact.active = ti.select(due, ti.select(sags, zero + 1.0, zero), active)
+        contact.kept_between = ti.select(due, ti.select(sags, zero + 1.0, zero), active)
         return ti.select(sags, force, zero), begun
 
     def update_friction(self, rod, index, o, due):
@@ -230,7 +230,7 @@ class ContactRounds(ContactEnergy):
             choose(contact, due & close, rubbed_normal=contact.normal)
         else:
             change = self.keep_friction(contact.of("friction"), repeated(zero, 3), due)
-        active = contact.active > 0.5
+        active = contact.kept_between > 0.5
         if index > 0 and self.some(active, zero):
             limit, u = self.limit(rod, o, contact.force_between), self.slid_between(rod, index, contact, o)
             stiffness, gradient = rod.contacts.stiffness, contact.rubbed_normal_between

@@ -77,7 +77,7 @@ class ContactSensitivity(SensitivityColumns, LoadedElimination):
                 contact = contacts.contact(contacts.vertex(rod, v), o)
                 contact.force = contact.force / (unit * unit)
                 contact.force_between = contact.force_between / (unit * unit)
-                contact.active = ti.select(contact.force_between > 0.0, 1.0, 0.0)
+                contact.kept_between = ti.select(contact.force_between > 0.0, 1.0, 0.0)
         row = ti.min(tables.rods[index, of.RESULT_ROW], tables.point_loads.shape[0] - 1)
         for e in range(rod.edges):
             vertex = ti.min(e + 1, tables.point_loads.shape[1] - 1)

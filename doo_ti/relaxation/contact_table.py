@@ -29,22 +29,22 @@ work, retried                    of friction since the motion began; one where a
 way_made, way                    of the clamps' way to the next instant, what is made and what is made at once
 multiplier, largest              of closure at the last instant; the largest force
 viscosity, first_viscosity, eased  of a step that viscosity helps along: now, at first, and how many such steps there were"""
-SUMS = Layout(energy=1, magnitude=1, penalty=1, crossing=1, deepest=1, closest=1, force_change=1, sums=("energy", 7))
+SUMS = Layout(energy=1, magnitude=1, penalty=1, crossing=1, least_phi=1, least_gap=1, force_change=1, sums=("energy", 7))
 """Kept here because a loop over obstacles has no registers for them.
 
 energy, magnitude  of all contacts, and the sum of its absolute terms
 penalty            the part of the energy that only makes gaps close, which is no energy of the rod
 crossing           the square of the largest share of its way to the middle of an obstacle that a vertex has made in this step
-deepest, closest   the least φ, and the least gap where no clamp holds the rod
+least_phi, least_gap  the least φ, and the least gap where no clamp holds the rod
 force_change       by how much the step changed a force by updating forces"""
-STEP = Layout(update_stiffness=1, updates=1, compliance=1, expecting=1, expected=1, penalty_kept=1, some_expecting=1,
+STEP = Layout(update_stiffness=1, updates=1, compliance=1, refused=1, has_met=1, penalty_kept=1, some_refused=1,
               longest_edge=1)
 """update_stiffness, updates   κ with which the step updates forces, zero where it does not; how many steps have done so
 compliance                 1/κ
-expecting, expected        one where the step before was refused; one where the derivatives therefore have a contact that does
-                           not push (:meth:`.ContactEnergy.expect`)
+refused, has_met        one where the step before was refused; one where the derivatives therefore have a contact that does
+                           not push (:meth:`.ContactEnergy.take_met`)
 penalty_kept               ``penalty`` at the accepted frames
-some_expecting, longest_edge  one number for all rods of the pack: whether any is ``expecting``; the longest edge"""
+some_refused, longest_edge  one number for all rods of the pack: whether any is ``refused``; the longest edge"""
 EDGE = Layout(
     gradient=3, gradient_s=3, curvatures=6, curvatures_s=9, curvatures_ss=6, between=("gradient", 27), excess=3, excess_s=3,
     excesses=("excess", 6), end_gradient=3, end_curvatures=6, end_excess=3, end=("end_gradient", 12))
@@ -72,19 +72,19 @@ nearest_of_all, pushed      one number for all rods of the pack: how far the nea
 odd                         unused: with a power of two of numbers all vertices would share a few lines of the cache"""
 CONTACT = Layout(
     force=1, force_between=1, friction=3, friction_between=3, rubbed_normal=3, rubbed_place=1, rubbed_normal_between=3,
-    active=1, value=1, normal=3, curvature=6, place_between=1, value_between=1, normal_between=3, acts=1,
+    kept_between=1, value=1, normal=3, curvature=6, place_between=1, value_between=1, normal_between=3, acts_between=1,
     nearest_point=("place_between", 6), sagging=1, nearest=1, pushes=1, pushes_between=1,
     remembered=("force", 16))
 """The contact of a vertex and of the edge that ends there (``_between``) with an obstacle.
 
 force, friction        λ and q
 rubbed_normal, rubbed_place  for friction, where a round does not change them: the normals, and the place on the edge
-active                 one where rounds have the contact of the edge
+kept_between           one where the edge has a contact until the round ends, wherever its nearest point goes
 value, normal, curvature  φ, ∇φ and ∇∇φ at the vertex
-nearest_point          of the edge: s, φ* and its normal, and one where it has a contact, ``acts``
+nearest_point          of the edge: s, φ* and its normal, and ``acts_between``, one where it has a contact
 sagging                by how much the edge is nearer there than at its ends
 nearest                one number for all rods of the pack: how far the nearest is from being close
-pushes                 one where the contact has pushed in the last trip"""
+pushes                 one where the contact pushed in the last trip (:meth:`.ContactEnergy.take_met`)"""
 REMEMBERED, REMEMBERED_IN_MOTION = CONTACT.at("friction"), CONTACT.at("value")
 """Numbers of a contact that last from one relaxation to the next, and from one step to the next."""
 
@@ -131,7 +131,8 @@ With 20 there, too, loops are pressed so far into each other that a knot slips o
 SOFT = 0.1  # of a radius: at first κ gives way by that under such a force
 PRESSED_IN = 0.3
 """Of a radius: the most by which κ gives way under the largest force at the end of a round, so that forces end where contact
-does, and what a step may press in beyond a closed gap. Of the way to the middle of an obstacle: the most by which κ first gives
+does. In a step, which is as large as its share of each gap plus that (:meth:`.ContactRounds.approach`): at a closed gap 0.6
+of it may be pressed in. Of the way to the middle of an obstacle: the most by which κ first gives
 way under the weight of the whole rod."""
 EARLY_ROTATION = 3e-2
 """A step in which every edge turns by less than that, rad, and which takes less than that share of gaps, updates forces."""

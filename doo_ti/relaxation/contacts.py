@@ -65,7 +65,7 @@ class RodContacts(ContactRounds):
                 work = work + dot(contact.friction, self.slid(rod, at, o))
                 if v > 0:
                     friction = contact.friction_between
-                    active = contact.active > 0.5
+                    active = contact.kept_between > 0.5
                     work = work + ti.select(active, dot(friction, self.slid_between(rod, v, contact, o)), zero)
         if ti.static(self.itself):
             work = work + self.pair_work(rod)
@@ -138,7 +138,7 @@ class RodContacts(ContactRounds):
         reach = layout.CLOSE * radius + 0.5 * scale.longest
         base.radius, base.tolerance, base.reach, base.first_stiffness = radius, tolerance, reach, stiffness
         base.change, base.phase, base.work, base.retried = 1e30, layout.ROUGH, 0.0, 0.0
-        base.first_viscosity, base.update_stiffness, base.updates, base.expecting = viscosity, 0.0, 0.0, 0.0
+        base.first_viscosity, base.update_stiffness, base.updates, base.refused = viscosity, 0.0, 0.0, 0.0
         for o in range(count):
             at = self.obstacle(one, o)
             for k in range(OBSTACLE_COLUMNS):
@@ -160,9 +160,10 @@ class RodContacts(ContactRounds):
 
     def load_contact(self, tables, contact, row, v, o):
         """What memory has of a contact into a lane; returns the larger of its forces."""
-        if ti.static(self.expects):
+        if ti.static(self.takes_met):
             contact.pushes, contact.pushes_between = 0.0, 0.0
-        fresh = ti.static(range(layout.REMEMBERED, layout.REMEMBERED_IN_MOTION) if self.rub else (layout.CONTACT.at("active"),))
+        kept = layout.CONTACT.at("kept_between")
+        fresh = ti.static(range(layout.REMEMBERED, layout.REMEMBERED_IN_MOTION) if self.rub else (kept,))
         for k in ti.static(fresh):
             contact[k] = 0.0
         for k in range(tables.memory.shape[3]):

@@ -33,16 +33,8 @@ def symmetric_sum(m) -> tuple:
 @traced
 def turned_block(left, m, right) -> tuple:
     """A_e M A_fᵀ, of the rows of both A."""
-    rows = [tuple(sum_of(m[3 * k + c] * a[k] for k in range(3)) for c in range(3)) for a in left]
-    return tuple(sum_of(r[c] * b[c] for c in range(3)) for r in rows for b in right)
-
-
-def sum_of(values):
-    """The sum of some numbers of a kernel."""
-    total = None
-    for value in values:
-        total = value if total is None else total + value
-    return total
+    rows = [tuple(dot(m[c::3], a) for c in range(3)) for a in left]
+    return tuple(dot(r, b) for r in rows for b in right)
 
 
 @device_functions
@@ -246,7 +238,7 @@ class DenseElimination(DenseFactors):
         rod.head.drift_step = x
         self.contacts.own_vertex(rod, 0).move = x
         size = dot(x, x) / (rod.total * rod.total)
-        longest = self.contacts.approach(rod, 0, x, x)
+        largest = self.contacts.approach(rod, 0, x, x)
         for e in range(rod.edges):
             edge = self.edge(rod.head, e)
             w = variable(self.solution(rod, e + 1))
@@ -260,9 +252,9 @@ class DenseElimination(DenseFactors):
                     size = largest_of(size, dot(w, w) / (rod.total * rod.total))
                     w = repeated(0.0 * size, 3)
             edge.rotation = w
-            longest = largest_of(longest, self.contacts.approach(rod, e + 1, before, after))
+            largest = largest_of(largest, self.contacts.approach(rod, e + 1, before, after))
             x = after
             self.contacts.own_vertex(rod, e + 1).move = x
             size = self.longer(size, w)
-        longest = largest_of(largest_of(longest, size), self.contacts.approach_itself(rod))
-        return ti.sqrt(longest), ti.sqrt(size), decrement
+        largest = largest_of(largest_of(largest, size), self.contacts.approach_itself(rod))
+        return ti.sqrt(largest), ti.sqrt(size), decrement

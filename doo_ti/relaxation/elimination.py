@@ -122,15 +122,15 @@ class Elimination(Chain):
         """
         zero = 0.0 * rod.total
         w = variable(repeated(zero, 3))
-        longest, decrement = (zero, zero)
+        largest, decrement = (zero, zero)
         for back in range(rod.edges):
             e = rod.edges - 1 - back
             edge = self.edge(rod.head, e)
             right = self.without_border(edge, edge.border, found.change)
             decrement = decrement + algebra.squared(edge.pivots, right)
             w = self.solved_edge(edge, right, w)
-            longest = self.longer(longest, w)
-        size = ti.sqrt(longest)
+            largest = self.longer(largest, w)
+        size = ti.sqrt(largest)
         return size, size, decrement
 
     # --- shared with the elimination under an external energy ---
@@ -174,9 +174,9 @@ class Elimination(Chain):
         edge.rotation = rotation
         return rotation
 
-    def longer(self, longest, w):
+    def longer(self, largest, w):
         """The larger of a square and |w|²."""
-        return largest_of(longest, dot(w, w))
+        return largest_of(largest, dot(w, w))
 
 
 LEAST_HOLD = 1e-6

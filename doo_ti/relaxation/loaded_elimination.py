@@ -47,7 +47,7 @@ class LoadedElimination(LooseStart):
         start = external.layout if external.at_vertices else Layout()
         super().__init__(number, isotropic, stride, edge_layout(isotropic, external.layout, any_ends),
                          rod_layout(start if any_ends else None))
-        self.functions, self.has_coarse, self.moves_start = external.functions(number), external.has_coarse, any_ends
+        self.functions, self.has_coarse, self.has_border = external.functions(number), external.has_coarse, any_ends
         self.is_loaded = self.functions.evaluate is not None
         self.pulls_start = external.at_vertices
         self.contacts, self.touches = contacts, contacts is not None
@@ -68,7 +68,7 @@ class LoadedElimination(LooseStart):
     def tip(self, rod):
         """The far end, found from the anchor on, where contacts begin."""
         x = variable(rod.anchor)
-        if ti.static(self.moves_start):
+        if ti.static(self.has_border):
             x = plus(x, rod.head.drift)
         for e in range(rod.edges):
             edge = self.edge(rod.head, e)
@@ -133,7 +133,7 @@ class LoadedElimination(LooseStart):
             wr, wz, wu = algebra.forward(f, b), algebra.forward_rows(f, zz), algebra.forward_rows(f, u)
             self.store_eliminated(edge, f, wr, wu, wz)
             self.pass_on(beyond, load, f, wr, wz, wu)
-            if ti.static(self.moves_start):
+            if ti.static(self.has_border):
                 self.eliminate_border(edge, self.freedom(rod, e), border, rows, f, wr, wz, wu)
             h, g = h_before, g_before
         return self.finish(rod, shift, miss, beyond, border, found)
@@ -143,7 +143,7 @@ class LoadedElimination(LooseStart):
         zero = 0.0 * rod.total
         change = variable(repeated(zero, 3))
         positive = zero + INERTIA_OF_A_MINIMUM  # without closure all of it is counted
-        if ti.static(self.moves_start):
+        if ti.static(self.has_border):
             self.eliminate_start(rod, shift, beyond, border, found)
             change, positive = self.bordered(rod, border.schur, plus(border.right, miss))
         return self.result(found, change, positive)
@@ -154,7 +154,7 @@ class LoadedElimination(LooseStart):
         beyond = record(
             force=repeated(zero, 3), c=repeated(zero, 3), f=repeated(zero, 3), cc=repeated(zero, 6), ff=repeated(zero, 6),
             z=repeated(zero, 9), length=zero)
-        if ti.static(self.moves_start):
+        if ti.static(self.has_border):
             beyond.force, beyond.c = multiplier, multiplier
         return beyond, record(c=scaled(algebra.identity(zero), rod.closed), f=repeated(zero, 9), schur=repeated(zero, 6),
                               right=repeated(zero, 3))
@@ -223,13 +223,13 @@ class LoadedElimination(LooseStart):
         may be taken whole it is as large as the largest share of the way to the middle of an obstacle, if that is more."""
         zero = 0.0 * rod.total
         w, x = variable(repeated(zero, 3)), variable(repeated(zero, 3))
-        longest, size, decrement = (zero, zero, zero)
-        if ti.static(self.moves_start):
+        largest, size, decrement = (zero, zero, zero)
+        if ti.static(self.has_border):
             start, decrement = self.solved_start(rod, found.change)
             x = start
             size = dot(x, x) / (rod.total * rod.total)
             if ti.static(self.touches):
-                longest = self.contacts.approach(rod, 0, x, x)
+                largest = self.contacts.approach(rod, 0, x, x)
         for e in range(rod.edges):
             edge = self.edge(rod.head, e)
             right = variable(self.without_multiplier(edge, found.change))
@@ -238,10 +238,10 @@ class LoadedElimination(LooseStart):
             q = edge.frame
             change = shift_of_end(edge.length, first_director(q), second_director(q), w)
             if ti.static(self.touches):
-                longest = largest_of(longest, self.contacts.approach(rod, e + 1, x, plus(x, change)))
+                largest = largest_of(largest, self.contacts.approach(rod, e + 1, x, plus(x, change)))
             x = plus(x, change)
             size = self.longer(size, w)
-        return ti.sqrt(largest_of(longest, size)), ti.sqrt(size), decrement
+        return ti.sqrt(largest_of(largest, size)), ti.sqrt(size), decrement
 
     def schur_complement(self, rod):
         """S = Σ W_λᵀ D⁻¹ W_λ, vertex 0 included where it is free."""
@@ -253,7 +253,7 @@ class LoadedElimination(LooseStart):
 
     def without_multiplier(self, edge, change):
         """W_r − W_λ δλ of an edge."""
-        if ti.static(self.moves_start):
+        if ti.static(self.has_border):
             return self.without_border(edge, edge.force_border, change)
         else:
             return edge.rotation

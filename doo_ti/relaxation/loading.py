@@ -64,7 +64,7 @@ class Loading:
     """
 
     def __init__(self, sweep: chain.Chain, in_millimetres: bool = False):
-        self.edge, self.isotropic, self.moves_start = sweep.edge, sweep.isotropic, sweep.moves_start
+        self.edge, self.isotropic, self.has_border = sweep.edge, sweep.isotropic, sweep.has_border
         self.functions, self.in_millimetres = sweep.functions, in_millimetres
         self.touches, self.pulls_start = sweep.touches, sweep.pulls_start
         if self.touches:
@@ -111,7 +111,7 @@ class Loading:
                 longest=tables.clamp[s, of.LONGEST] / unit,
                 weight=2.0 * tables.material[g, of.WEIGHT] / divisor * (unit * unit * unit))
             self.contacts.load(tables, slot, rod, unit, scale)
-        if ti.static(self.moves_start):
+        if ti.static(self.has_border):
             lane.loose = tables.clamp[s, of.LOOSE]
             lane.drift = scaled(read(tables.results, tables.rods[rod, of.RESULT_ROW], of.DRIFT), 1.0 / unit)
             if ti.static(self.loaded and self.pulls_start):

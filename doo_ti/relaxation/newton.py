@@ -96,7 +96,7 @@ class NewtonLoop(QueueLoop, NewtonTrip):
         zero, one = self.constant(0.0), self.constant(1.0)
         return record(
             energy=zero, magnitude=zero, miss=repeated(zero, 3), multiplier=repeated(zero, 3), residual=zero,
-            change=repeated(zero, 3), longest=one, shift=zero, scale=one, step_scale=zero, coarse=zero, fresh=zero,
+            change=repeated(zero, 3), largest_move=one, shift=zero, scale=one, step_scale=zero, coarse=zero, fresh=zero,
             trying=zero, closing=zero, returned=zero, troubled=zero, escaping=zero, escapes=zero, rounds=zero,
             heading=one, best=zero, sufficient=zero, idle_trips=zero, aimless=zero, rejects=zero, trips=zero, status=zero,
             stable=zero, lengths_known=zero, along=zero, begun=zero, arrived=zero, spins_first=zero, strays=zero, active=zero,
@@ -139,7 +139,7 @@ class NewtonLoop(QueueLoop, NewtonTrip):
                 along = ti.min(self.lane(lane.begun, slot), self.lane(lane.arrived, slot))
             along *= own.closed
             tables.results[row, of.ALONG] = along / (ti.sqrt(dot(target, target)) + 1e-30)
-        if ti.static(self.sweep.moves_start):
+        if ti.static(self.sweep.has_border):
             write(tables.results, row, of.DRIFT, values=scaled(in_f64(own.drift), in_f64(own.length_unit)))
         tables.results[row, of.ITERATIONS] = self.lane(lane.trips, slot)
         tables.results[row, of.STATUS] = status
@@ -259,7 +259,8 @@ def newton_kernel(number: Number, stride: int, block: int, isotropic: bool, exte
     stride: distance between the numbers of a thread in scratch, 1 on a CPU, at least the number of threads on a GPU.
     block: see :func:`.loop_kernel`.
     external: the class of the external energy, whose numbers and field the kernel then takes as two more arrays.
-    any_ends: not all rods under the external energy have vertex 0 held and the far end free, which is faster.
+    any_ends: some rods under the external energy have vertex 0 free or the far end held. Without these the kernel is smaller
+        and faster.
     """
     if external is None:
         return loop_kernel("newton", number, NEWTON, NewtonLoop(Elimination(number, isotropic, stride)), block)
@@ -274,5 +275,5 @@ def contact_kernel(number: Number, stride: int, block: int, isotropic: bool, ext
     if itself:
         sweep = DenseLoadedElimination(number, isotropic, stride, external, True, SelfContacts(number, has_grid))
     else:
-        sweep = LoadedElimination(number, isotropic, stride, external, True, RodContacts(number, has_grid, expects=True))
+        sweep = LoadedElimination(number, isotropic, stride, external, True, RodContacts(number, has_grid, takes_met=True))
     return loop_kernel("newton_in_contact", number, NEWTON | EXTERNAL | OBSTACLES, NewtonLoop(sweep), block, brief=True)

@@ -7,8 +7,9 @@ SHAPE_TOLERANCE_32 = 1e-4  # rad: in f32 the next Newton step has to be smaller 
 # The policy's fixed numbers (shifts are over the largest diagonal entry of H).
 SHIFT_WRONG_INERTIA = 0.01
 SUFFICIENT = 1 / 3  # of the last shift under which the inertia was right, where it is wrong again (Wächter and Biegler, 2006)
-SHIFT_REJECTED, GROWTH = 1e-5, 4.0  # the least one after a refused step, and by how much it grows there (in contact by
-# SHIFT_GROWTH) and where the inertia is wrong
+SHIFT_REJECTED = 1e-5  # the least one after a refused step
+GROWTH = 4.0  # by how much it grows after a refused step (in contact by SHIFT_GROWTH), and where the inertia is wrong
+BETTER, ALIKE = 0.7, 3.0  # times the smallest residual so far: less is progress; less is to and fro across a kink
 MOST_SHIFT = 1e3  # times what is stiff at an edge: no shift is larger there
 DECAY, NEGLIGIBLE = 1 / 16, 1e-5  # each accepted step multiplies the shift by DECAY, below NEGLIGIBLE it is zero;
 DECAY_TROUBLED, NEGLIGIBLE_TROUBLED = 1 / 4, 1e-6  # the same once a step was refused or the inertia was wrong

@@ -21,7 +21,7 @@ class NewtonTrip:
     energy, magnitude, miss, multiplier  of the accepted frames, magnitude being the sum of the energy's absolute terms, the
                                          scale of its rounding; ``residual`` their largest moment
     begun, arrived, along                the smallest t·target of an edge at the start, in the accepted frames, in all of them
-    change, longest                      δλ, and the largest turn of an edge in the step, rad, or if that is more the largest
+    change, largest_move                 δλ, and the largest turn of an edge in the step, rad, or if that is more the largest
                                          share of a gap or of the way to the middle of an obstacle (ContactRounds.approach)
     shift, scale                         added to the diagonal of H, and H's largest diagonal entry
     sufficient                           the last shift under which the inertia was right
@@ -56,7 +56,7 @@ class NewtonTrip:
         # them to f64.
         self.itself = self.touches and sweep.contacts.itself
         self.among_obstacles = self.touches and not self.itself
-        self.expects = self.touches and sweep.contacts.expects
+        self.takes_met = self.touches and sweep.contacts.takes_met
         self.patience = fixed.PATIENCE_32 if single else fixed.PATIENCE
         self.trace = 0.0 if single else fixed.LARGE_TRACE if self.among_obstacles else fixed.TRACE
         self.trace_at_rest = 0.0 if single else fixed.LARGE_TRACE
@@ -88,10 +88,10 @@ class NewtonTrip:
         negligible = least * lane.scale
         smaller = ti.select(decay * lane.shift > negligible, decay * lane.shift, zero)
         next_shift = ti.select(lane.trying > 0.5, smaller, lane.shift)
-        # To leave a saddle: inverse iteration, first from noise, then from its last result.
+        # To leave a saddle: inverse iteration finds the softest direction. It begins from noise, which has a part of it.
         searching = (lane.escaping > 0.5) & (lane.trying < 0.5)
         noise = ti.select(searching & (lane.rounds < 0.5), 1e-3 * lane.scale, zero)
-        echo = ti.select(searching & (lane.rounds > 0.5), lane.scale / (lane.longest + 1e-30), zero)
+        echo = ti.select(searching & (lane.rounds > 0.5), lane.scale / (lane.largest_move + 1e-30), zero)
         energy, magnitude, miss, fitted, lowest = self.sweep.close(rod, x, normal)
         multiplier = self.multiplier(lane, fitted)
         was_at_rest = (lane.fresh < 0.5) & (lane.residual * rod.total <= self.tolerance(tables, rod))
@@ -105,8 +105,7 @@ class NewtonTrip:
         judged = self.judge_step(rod, lane, found, miss)
         if self.largest(ti.select(judged.uphill, one, zero)) > 0.5:
             self.sweep.restore(rod, ti.select(judged.uphill, one, zero))
-        longest, size, decrement = self.sweep.substitute(rod, found)
-        lane.longest = longest
+        lane.largest_move, size, decrement = self.sweep.substitute(rod, found)
         self.keep(rod, lane, found, miss, lowest, multiplier, judged, next_shift)
         place = self.judge_place(tables, rod, lane, found.inertia, (size, decrement, was_at_rest), judged)
         self.plan(tables, rod, lane, judged, place, searching, found.slope)
@@ -115,7 +114,7 @@ class NewtonTrip:
     def multiplier(self, lane, fitted):
         """λ at the new frames: the least-squares one of closure, or under an external energy the one of the Newton step."""
         value = variable(fitted)
-        if ti.static(self.sweep.moves_start):
+        if ti.static(self.sweep.has_border):
             share = ti.select(lane.escaping < 0.5, lane.step_scale, self.constant(0.0))
             # Where no step is taken the change may be NaN.
             stepped = chosen(share > 0.0, plus(lane.multiplier, scaled(lane.change, share)), lane.multiplier)
@@ -182,7 +181,7 @@ class NewtonTrip:
 
     def judge_place(self, tables, rod, lane, inertia, step, judged):
         """Judge where the rod is: a record of flags. ``at_rest``: residual, closure and decrement are small; ``calm``: at rest,
-        at accepted frames, and not leaving a saddle. The elimination, at the new frames, says nothing about restored ones.
+        at accepted frames, and not leaving a saddle. Where frames were restored, the elimination belongs to the refused step.
 
         step: of the next one its size and its Newton decrement, and whether the rod had come to rest before this one.
         """
@@ -211,8 +210,8 @@ class NewtonTrip:
         right = (inertia > least) & (inertia < most) & judged.stands
         calm = at_rest & (lane.escaping < 0.5) & judged.stands
         altered = (lane.shift > 0.0) | (lane.coarse > 0.5)
-        if ti.static(self.expects):
-            altered = altered | (rod.contacts.expected > 0.5)
+        if ti.static(self.takes_met):
+            altered = altered | (rod.contacts.has_met > 0.5)
         # Where rounding limits the residual, the size of the next step bounds the error of the shape.
         resolved = size <= self.shape_tolerance
         doubtful = self.constant(0.0) > 0.5
@@ -255,29 +254,30 @@ class NewtonTrip:
         lane.shift = ti.select(place.wrong & (lane.closing < 0.5), ti.max(fixed.GROWTH * lane.shift, floor), lane.shift)
         lane.shift = ti.select(place.certify, zero, lane.shift)
         if ti.static(self.has_coarse):
-            far = (lane.longest > fixed.COARSE_ROTATION) & ~place.at_rest & (lane.escaping < 0.5)
+            far = (lane.largest_move > fixed.COARSE_ROTATION) & ~place.at_rest & (lane.escaping < 0.5)
             lane.coarse = ti.select(far, one, zero)
-        cap = ti.min(one, ti.cast(tables.policy[fixed.ROTATION_LIMIT], self.scalar) / (lane.longest + 1e-30))
+        cap = ti.min(one, ti.cast(tables.policy[fixed.ROTATION_LIMIT], self.scalar) / (lane.largest_move + 1e-30))
         if ti.static(self.touches):
             part = (lane.rejects > 0.5) & (lane.rejects < 1.5)
-            if ti.static(self.expects):
+            if ti.static(self.takes_met):
                 # With the contacts that the refused step has met, the step is another one.
-                part = part & ~(rod.contacts.expected > 0.5)
-                rod.contacts.expecting = ti.select(judged.uphill, one, zero)
+                part = part & ~(rod.contacts.has_met > 0.5)
+                rod.contacts.refused = ti.select(judged.uphill, one, zero)
             cap = ti.select(part, PART * cap, cap)
             if ti.static(self.itself):
                 # To and fro across a kink of friction, with like residuals on both sides: ever shorter steps end on it.
-                stays = (rod.contacts.largest > 0.0) & (lane.residual < 3.0 * lane.best)
+                stays = (rod.contacts.largest > 0.0) & (lane.residual < fixed.ALIKE * lane.best)
                 across = ti.select(stays, lane.idle_trips - fixed.PATIENCE_AT_KINK, zero)
                 cap = cap / (1.0 + ti.max(across, zero))
         lane.heading = ti.select(searching, ti.select(slope > 0.0, 0.0 - one, one), lane.heading)
-        leap = lane.heading * fixed.ESCAPE_ROTATION / ((1.0 + lane.rejects) * (1.0 + lane.rejects) * (lane.longest + 1e-30))
+        tries = 1.0 + lane.rejects
+        leap = lane.heading * fixed.ESCAPE_ROTATION / (tries * tries * (lane.largest_move + 1e-30))
         lane.step_scale = ti.select(lane.trying > 0.5, ti.select(lane.escaping > 0.5, leap, cap), zero)
 
     def end(self, tables, rod, lane, judged, place):
         """Which lanes are finished, and with which status."""
         zero, one = self.constant(0.0), self.constant(1.0)
-        better = place.leaving | (lane.closing > 0.5) | ((lane.residual < 0.7 * lane.best) & judged.stands)
+        better = place.leaving | (lane.closing > 0.5) | ((lane.residual < fixed.BETTER * lane.best) & judged.stands)
         # A trip that only repeats the elimination after a rejected step does not count.
         waited = ti.select(lane.returned > 0.5, zero, one)
         lane.aimless = ti.select(better | judged.notable, zero, lane.aimless + waited)
@@ -297,7 +297,7 @@ class NewtonTrip:
         # A neutral motion leaves the certificate undecided: converged, not certified.
         undecided = place.at_rest & place.resolved & (out_of_trips | stuck)
         if ti.static(self.touches):
-            ready = (lane.trying > 0.5) & (lane.escaping < 0.5) & (lane.longest < EARLY_ROTATION) & ~lost
+            ready = (lane.trying > 0.5) & (lane.escaping < 0.5) & (lane.largest_move < EARLY_ROTATION) & ~lost
             final = lane.residual * rod.total <= self.tolerance(tables, rod, True)
             updating, done = self.sweep.contacts.plan_update(rod, lane, ready, place.at_minimum & final)
             calm = place.calm & ~place.leaving & ~updating & ~done

@@ -60,8 +60,8 @@ class Adjoint(SensitivityColumns):
             if ti.static(self.touches):
                 self.hold_start(rod, column)
             closure = self.assemble_column(rod, column)
-            along = self.followed(tables, rod, row, column, total)
-            tables.gradient[row, p] = along - dot(change, closure) - unit * self.worked(tables, rod, row, column)
+            along, work = self.along_column(tables, rod, row, column, total)
+            tables.gradient[row, p] = along - dot(change, closure) - unit * work
 
     def solve_adjoint(self, tables, rod, row, total):
         """p and dx into their tables; returns q. ``total`` is the sum of the forces."""
@@ -100,30 +100,22 @@ class Adjoint(SensitivityColumns):
         # As the complex numbers i/2 B δω.
         write(tables.curvature, row, joint, 0, values=(unit * (left[1] + right[1]), 0.0 - unit * (left[0] + right[0])))
 
-    def followed(self, tables, rod, row, column, total):
-        """What the cotangents make of the displacements and turns that the column itself prescribes."""
-        moved = variable(column.move)
-        found = dot(read(tables.pulls, row, 0, 0), moved)
-        for e in range(rod.edges):
-            w = self.held_turn_of(rod, e, column)
-            moved = self.end_of_turned(self.edge(rod.head, e), moved, w, column.stretch)
-            found += dot(read(tables.pulls, row, e + 1, 0), moved) + dot(read(tables.twists, row, e, 0), w)
-        return found - rod.released * dot(total, moved)
-
-    def worked(self, tables, rod, row, column):
-        """pᵀ ∂g/∂θ, ∂g/∂θ being in the place of the step: with what obstacles and the weight do to vertices."""
+    def along_column(self, tables, rod, row, column, total):
+        """Two numbers: what the cotangents make of the displacements and turns that the column itself prescribes; and pᵀ ∂g/∂θ,
+        ∂g/∂θ being in the place of the step, with what obstacles and the weight do to vertices."""
         moved, x = variable(column.move), variable(read(tables.displaced, row, 0, 0))
-        found = rod.loose * dot(x, column.whole)
+        along, work = dot(read(tables.pulls, row, 0, 0), moved), rod.loose * dot(x, column.whole)
         for e in range(rod.edges):
-            edge = self.edge(rod.head, e)
+            edge, w = self.edge(rod.head, e), self.held_turn_of(rod, e, column)
             after, before = read(tables.displaced, row, e + 1, 0), variable(moved)
-            moved = self.end_of_turned(edge, moved, self.held_turn_of(rod, e, column), column.stretch)
-            work = dot(read(tables.turned, row, e, 0), edge.rotation)
+            moved = self.end_of_turned(edge, moved, w, column.stretch)
+            along += dot(read(tables.pulls, row, e + 1, 0), moved) + dot(read(tables.twists, row, e, 0), w)
+            own = dot(read(tables.turned, row, e, 0), edge.rotation)
             if ti.static(self.touches):
-                work += self.pushed_work(edge, before, moved, x, after)
-            found += work
+                own += self.pushed_work(edge, before, moved, x, after)
+            work += own
             x = after
-        return found
+        return along - rod.released * dot(total, moved), work
 
 
 @device_functions

@@ -280,7 +280,7 @@ class MotionLoading(Loading):
             motion, place = self.edge(own, e).motion, (row * edges + e) * 4
             write(tables.frames, place, values=motion.frame_1)
             write(tables.frames_before, place, values=motion.frame_2)
-        if ti.static(self.moves_start):
+        if ti.static(self.has_border):
             write(tables.results, row, of.DRIFT, values=scaled(in_f64(own.drift), in_f64(own.length_unit)))
 
     def store_vertices(self, target: ti.template(), row, count: ti.template(), own, edges):

@@ -149,7 +149,7 @@ class TimeLoop(NewtonLoop):
                     tables.outcome[row, frame, END_FORCE + k] = ti.select(taut, ti.math.nan, force)
                 self.loading.store_vertices(tables.positions, row * frames + frame, 3, own, edges)
                 if ti.static(self.differentiates):
-                    self.write_slopes(tables, slot, row * frames + frame)
+                    self.store_slopes(tables, tables.position_slopes, slot, row * frames + frame)
                 if ti.static(self.touches):
                     self.sweep.contacts.unload_forces(tables, slot, row * frames + frame, unit)
                     self.sweep.contacts.unload_touch(tables, slot, row * frames + frame)
@@ -164,7 +164,7 @@ class TimeLoop(NewtonLoop):
                 for k in ti.static(range(3)):
                     tables.results[row, of.FORCE + k] = self.lane(lane.multiplier[k], slot)
                 if ti.static(self.differentiates):
-                    self.store_slopes(tables, slot, row)
+                    self.store_slopes(tables, tables.slopes, slot, row)
         else:
             for later in range(frame, frames):
                 tables.outcome[row, later, STATE] = status

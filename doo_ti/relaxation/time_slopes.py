@@ -114,11 +114,6 @@ class TimeSlopes(TimeSweep):
         speed = ti.sqrt(dot(fast, fast))
         block.seen = minus(x, ahead) + minus(x, y) + (speed,) + scaled(fast, 1.0 / (speed + 1e-30))
 
-    def curved(self, block):
-        """(X, Y, 1/s, e^{im}) of the joint of a shared block."""
-        b = block.curved
-        return (b[0], b[1]), (b[2], b[3]), b[4], (b[6], b[7])
-
     # --- the right-hand side of a parameter ---
 
     def eliminate_slope(self, rod, blocks, parameter, time, up):
@@ -185,7 +180,7 @@ class TimeSlopes(TimeSweep):
         right = minus(pair.moment(own.bend, (u[2], u[3]), inverse_length),
                       pair.moment(edge.bend, (rest[2], rest[3]), inverse_length))
         twist = own.twist * u[4] - edge.twist * rest[4]
-        x, y, inverse, turn = self.curved(shared)
+        x, y, inverse, _, turn = self.bent(shared.curved)
         return pair.gradient_of_moments(left, right, 2.0 * inverse_length * twist, x, y, inverse, turn)
 
     def rest_slope(self, rod, shared, own, first, time):
@@ -216,7 +211,7 @@ class TimeSlopes(TimeSweep):
             y = minus_combination(moved, edge.neighbour, w)
             turned = backward(edge.pivots, y)
             if e > 0:
-                cx, cy, inverse, turn = self.curved(shared)
+                cx, cy, inverse, _, turn = self.bent(shared.curved)
                 own.curvature_2 = own.curvature_1
                 own.curvature_1 = pair.curvature_variation(cx, cy, inverse, turn, w, turned)
             w = turned
@@ -287,18 +282,10 @@ class TimeSlopeLoop(TimeLoop):
                 first.of_rod[k] = tables.share_slopes[p, numbers, k]
             first.of_rod[2] = tables.material_slopes[material, of.WEIGHT]
 
-    def store_slopes(self, tables, slot, row):
-        """The derivatives that the lane's rod remembers into row ``row``."""
+    def store_slopes(self, tables, array: ti.template(), slot, row):
+        """The first derivatives that the lane's rod remembers, those of positions, or all, into a row of an ``array``."""
         for p in range(tables.number_slopes.shape[0]):
             for v in range(tables.rest_length.shape[1] + 1):
                 block = self.own_block(tables, slot, p, v)
-                for k in range(REMEMBERED):
-                    tables.slopes[row, p, v, k] = block[k]
-
-    def write_slopes(self, tables, slot, place):
-        """The derivatives of the lane's positions, for row ``place`` of the positions."""
-        for p in range(tables.number_slopes.shape[0]):
-            for v in range(tables.rest_length.shape[1] + 1):
-                block = self.own_block(tables, slot, p, v)
-                for k in ti.static(range(3)):
-                    tables.position_slopes[place, p, v, k] = block[k]
+                for k in range(array.shape[3]):
+                    array[row, p, v, k] = block[k]
