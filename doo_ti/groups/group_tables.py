@@ -9,14 +9,13 @@ import numpy as np
 from doo_ti.contact.surroundings import LEAST_ARC, Itself, Surroundings, smallest_of_pairs
 from doo_ti.groups.group import Group
 from doo_ti.groups.group_newton import GroupTables
-from doo_ti.groups.ties import JOINT_ITEMS
+from doo_ti.groups.ties import CLOSED, JOINT_ITEMS, STIFFNESS_OF_TIES
 from doo_ti.relaxation import input_tables
 from doo_ti.relaxation import tables as of
 from doo_ti.relaxation.bows import projectable
 from doo_ti.relaxation.clamp_table import INFEASIBLE, STRAIGHT, clamp_table
 from doo_ti.relaxation.contact_table import DEEPEST_STEP, contact_table, require_margin
 from doo_ti.relaxation.input_tables import along_rods
-from doo_ti.relaxation.loading import REFERENCE_LENGTH
 from doo_ti.rod.frames import conjugate, quaternion_product, vertices_from_quaternions
 from doo_ti.rod.types import Clamp, Clamps, Configuration, Material
 from doo_ti.system.errors import InputError
@@ -63,12 +62,9 @@ class Member:
 
     @property
     def stiffness(self) -> np.ndarray:
-        """(N,) mm³ of the rod as a whole: of its joints one after the other, each bent its softer way, and at least what weight
-        makes of it (:func:`.stiffness_scale`)."""
+        """(1 or N,) mm³ of the rod as a whole: of its joints one after the other, each bent its softer way."""
         softest = input_tables.bending_range(along_rods(self.material))[0]
-        whole = self.lengths.sum(axis=1) / (self.lengths / softest).sum(axis=1)
-        weight = self.material[:, of.WEIGHT] * self.clamp[:, of.HANGING] * self.clamp[:, of.TOTAL] / REFERENCE_LENGTH
-        return np.maximum(whole, weight)
+        return self.lengths.sum(axis=1) / (self.lengths / softest).sum(axis=1)
 
     @property
     def weights(self) -> np.ndarray:
@@ -110,7 +106,8 @@ def group_tables(group: Group, up: np.ndarray, obstacles, radius, contact: bool,
     free = np.concatenate([part for member in members for part in (
         np.repeat(member.loose[:, None, None], 2, axis=2), member.free)], axis=1)[:, 1:]
     _hold_spins(group, members, free)
-    material, burden = _materials(group, members)
+    pull = _pulls(group, members)
+    material, burden = _materials(group, members, pull)
     clamp = _clamps(members, material)
     if radius is None and obstacles:
         raise InputError("relax_group", "radius", "missing beside obstacles", "give the rods' radius in mm")
@@ -128,6 +125,7 @@ def group_tables(group: Group, up: np.ndarray, obstacles, radius, contact: bool,
     starts = [vertices_from_quaternions(member.begin, member.start, member.lengths) for member in members]
     # Where centrelines nearly cross, the start does not say which rod is on which side.
     start = np.concatenate(starts, axis=1)
+    targets[..., 8] = _stiffness_of_ties(group, members, ties, targets, pull, start, clamp[:, of.TOTAL])
     crossing = smallest_gap(start, apart, np.zeros((1, start.shape[1]))) < DEEPEST_STEP * table.radius
     return GroupTables(
         start=_joined([member.start for member in members], 1.0), rest_length=lengths, clamp=clamp,
@@ -202,17 +200,23 @@ def _clamps(members: list[Member], material: np.ndarray) -> np.ndarray:
     return clamp
 
 
-def _materials(group: Group, members: list[Member]) -> tuple[np.ndarray, np.ndarray]:
-    """The table of materials, (1 or N, -), and the first two columns of the burden (N, V, 2) of vertices."""
+def _pulls(group: Group, members: list[Member]) -> np.ndarray:
+    """(N, V) energy per mm by which the weights of rods and ties pull at each vertex."""
+    pull = np.concatenate([np.repeat(member.weights, group.count // len(member.weights), axis=0) for member in members], axis=1)
+    for tie, (vertex, _) in zip(group.ties, group.tied, strict=True):
+        pull[:, vertex] += tie.weight
+    return pull
+
+
+def _materials(group: Group, members: list[Member], pull: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The table of materials, (1 or N, -), and the first two columns of the burden (N, V, 2) of vertices, at which weights
+    ``pull``."""
     rows = max(len(member.material) for member in members)
     every = np.array([np.broadcast_to(member.material[:, : of.STIFFNESS], (rows, of.STIFFNESS)) for member in members])
     head = every.max(axis=0)
     edges = [along_rods(member.material) for member in members]
     head[:, of.SOFTEST] = every[..., of.SOFTEST].min(axis=0)
     head[:, of.ROUND] = 0.0
-    pull = np.concatenate([np.repeat(member.weights, group.count // len(member.weights), axis=0) for member in members], axis=1)
-    for tie, (vertex, _) in zip(group.ties, group.tied, strict=True):
-        pull[:, vertex] += tie.weight
     # The material's weight is any that is of this size; of the vertices a length is given that it multiplies.
     total = sum(member.lengths.sum(axis=1).min() for member in members)
     head[:, of.WEIGHT] = np.maximum(head[:, of.WEIGHT], sum(tie.weight for tie in group.ties) / total)
@@ -245,15 +249,13 @@ def evened_group(table: GroupTables, most: float) -> tuple[GroupTables, np.ndarr
 
 def _ties(group: Group, members: list[Member]) -> tuple[np.ndarray, np.ndarray]:
     """The ties of the kernel, first the group's own, then those that draw the rods' far ends and then their starts to the
-    clamps, see :class:`.GroupTables`."""
+    clamps, see :class:`.GroupTables`, all but their stiffness."""
     own = np.sort(group.tied, axis=1)[:, ::-1]
     first = group.first_vertices
     ends = np.concatenate([first[1:] - 1, first[:-1]])
     ties = np.full((len(own) + len(ends), 4), -1, dtype=np.int32)
     ties[: len(own), :2], ties[len(own):, 0] = own, ends
     targets = np.zeros((group.count, len(ties), 9))
-    stiffness = group.at_vertices(np.stack([member.stiffness for member in members], axis=1))
-    targets[..., 8] = np.minimum(stiffness[:, ties[:, 0]], stiffness[:, np.where(ties[:, 1] < 0, ties[:, 0], ties[:, 1])])
     targets[:, : len(own), 3] = 1.0
     # Not as the members have them: of straight rods these are bowed.
     frames = _joined([rod.quaternions / np.linalg.norm(rod.quaternions, axis=-1, keepdims=True) for rod in group.rods], 1.0)
@@ -263,6 +265,25 @@ def _ties(group: Group, members: list[Member]) -> tuple[np.ndarray, np.ndarray]:
     for number, (end, member) in enumerate(((1 - late, member) for late in (0, 1) for member in members), start=len(own)):
         targets[:, number, :3], targets[:, number, 3] = member.places[:, end], member.drawn[:, end]
     return ties, targets
+
+
+def _stiffness_of_ties(group: Group, members: list[Member], ties: np.ndarray, targets: np.ndarray, pull: np.ndarray,
+                       start: np.ndarray, longest: np.ndarray) -> np.ndarray:
+    """(N, ties) mm³: the stiffness of the softer rod, or more where weights ``pull`` at vertices (N, V) that are tied together:
+    a tie may carry all of them. Under that it is to give way by its length only where points have yet to be drawn together.
+    Where the vertices ``start`` (N, V, 3) in their places, a soft rope would let go of what it holds.
+
+    longest  (N,) mm, of the longest rod
+    """
+    one, other, alone = ties[:, 0], ties[:, 1], ties[:, 1] < 0
+    missed = start[:, one] - np.where(alone[:, None], targets[..., :3], start[:, other])
+    closed = (targets[..., 3] * np.linalg.norm(missed, axis=-1) <= CLOSED * longest[:, None]).all(axis=1, keepdims=True)
+    stiffness = group.at_vertices(np.stack([member.stiffness for member in members], axis=1))
+    rod_of = np.repeat(np.arange(len(members)), np.diff(group.first_vertices))
+    part = connected(len(members), rod_of[group.tied])[rod_of]  # of vertices
+    carried = np.stack([pull[:, part == part[vertex]].sum(axis=1) for vertex in one], axis=1)
+    by_weight = carried * longest[:, None] ** 2 / (STIFFNESS_OF_TIES * np.where(closed, CLOSED, 1.0))
+    return np.maximum(np.minimum(stiffness[:, one], stiffness[:, np.where(alone, one, other)]), by_weight)
 
 
 # --- which edges may touch, and how near they are ---

@@ -44,13 +44,13 @@ TIE = Layout(target=3, force=FORCE, active=1, rest=4, moment=FORCE, turned=3, of
 JOINT = Layout(left=2, right=2, twist=1)
 TWIST, JOINT_ITEMS = JOINT.at("twist"), len(JOINT)
 STIFFNESS_OF_TIES, MOST_TIE_STIFFNESS, STIFFER_TIES = 1e4, 1e7, 10.0
-"""κ of ties at first and at most, over B/L³ of the softer rod or what its weight makes of that, and its growth."""
+"""κ of ties at first and at most, over B/L³ of the softer rod or what the weight makes of that, and its growth."""
 GIVE, NO_BORDER = 1e-8, 1e8
 """ε over 1/κ, and in rounds in which forces do not change: points far apart are drawn together by κ alone."""
 MOST_GROWTH, NOTABLE_MISS = 10.0, 1e-2
 """By steps forces of ties grow to at most so many times the largest at the end of such a round, and what κ makes of a miss of
 that share of the length."""
-TIE_TOLERANCE, CLOSED = 1e-10, 1e-6  # of the longest rod: how far tied points may be apart, in the end and in a closed start
+TIE_TOLERANCE, CLOSED = 1e-10, 1e-2  # of the longest rod: how far tied points may be apart, in the end and in a closed start
 
 
 @picked
@@ -171,10 +171,9 @@ class Ties:
         return head.give * head.stiffness > 1.0
 
     def begin_ties(self, rod):
-        """Where rods may touch and all ties are closed at the start forces change from the first step on: nothing has to be
-        drawn together, and refused steps of contacts and stiff ties do not go together well."""
+        """Where all ties are closed at the start forces change from the first step on: nothing has to be drawn together."""
         head = self.group(rod)
-        closed = self.draws(rod) & (head.bound <= 0.0) & (self.miss(rod) <= CLOSED) & ~self.is_fine(rod)
+        closed = self.draws(rod) & (head.bound <= 0.0) & (self.miss(rod) <= CLOSED)
         bound = (MOST_GROWTH * NOTABLE_MISS) * rod.total * head.stiffness
         choose(head, closed, bound=bound, give=GIVE / head.stiffness)
 

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from doo_ti import Clamp, Configuration, Group, Itself, Material, Plane, Tie, Touch, follow_group, relax_group
+from doo_ti import Clamp, Configuration, Cylinder, Group, Itself, Material, Plane, Tie, Touch, follow_group, relax_group
 from doo_ti.rod.shapes import end_clamps, rod_along, straight_rod
 from tests.contact.topology import linking
 from tests.oracle.chain_form import chain_energy, rod_of
@@ -194,3 +194,24 @@ def test_ties_that_are_closed_at_the_start_take_no_round(rng):
         iterations.append(found.iterations[0])
         assert found.converged[0] and found.stable[0]
     assert np.median(iterations) < 33
+
+
+@pytest.mark.parametrize("friction", [0.0, 0.3])
+def test_a_heavy_end_stays_on_its_side_of_a_peg(friction):
+    """A soft rope over a cylinder holds a mass fifty times its own: by statics the other end is held with as much or, where it
+    is drawn and slips, with e^(μ π) times that. The mass hangs on a short rod that is tied to the rope."""
+    peg, radius = 30.0, 1.5
+    angle = np.linspace(np.pi, 0, 40)
+    arc = (peg + radius + 0.01) * np.stack([np.cos(angle), 0 * angle, np.sin(angle)], axis=-1)
+    rope = rod_along(np.concatenate([[arc[0] - [0, 0, 150]], arc, [arc[-1] - [0, 0, 150]]]), 80)
+    weight, held = straight_rod(10.0, 4, rope.vertices[0, 0], (0, 0, -1)), end_clamps(rope, Clamp.FREE, Clamp.POSITION)
+    free = end_clamps(weight, Clamp.FREE, Clamp.FREE)
+    length, mu = float(rope.rest_length.sum()), 1e-4
+    load = 50 * 2 * mu * length
+    group = Group([rope, weight], Material(10.0, 10.0, weight=mu), [held, free], [Tie((0, 0), (1, 0), weight=load)])
+    drawn = [[replace(held, end_position=held.end_position - [0, 0, 0.5 * step]), free] for step in range(8)]
+    on = Cylinder((0, -50, 0), (0, 50, 0), peg, friction=friction)
+    for solution in follow_group(group, drawn if friction else drawn[:1], obstacles=[on], radius=radius):
+        assert certified(solution)
+    hung = load + 2 * mu * (10.0 + 150.0)
+    assert -solution.end_force[0, 0, 2] + 2 * mu * 150.0 == pytest.approx(hung * np.exp(friction * np.pi), rel=0.02)

@@ -231,3 +231,15 @@ def test_rods_that_stand_upright_are_at_no_minimum(escapes):
     solution = relax_group(group, Newton(max_iterations=1000, max_escapes=escapes))
     assert solution.status[0] == Status.CONVERGED and solution.stable[0] == (escapes > 0)
     assert solution.rods[1].vertices[0, -1, 2] == pytest.approx(-100.0 if escapes else 100.0, abs=1e-3)
+
+
+def test_what_hangs_on_a_tie_is_carried_whichever_rod_the_tie_names_first():
+    """A straight hanging rope with a tail and a connector a hundred times as heavy as both: where it starts is the answer."""
+    upper, lower = straight_rod(500.0, 20, (0, 0, 0), (0, 0, -1)), straight_rod(300.0, 10, (0, 0, -500), (0, 0, -1))
+    clamps = [end_clamps(upper, Clamp.POSITION, Clamp.FREE), end_clamps(lower, Clamp.FREE, Clamp.FREE)]
+    for first, second in (((0, -1), (1, 0)), ((1, 0), (0, -1))):
+        group = Group([upper, lower], Material(100.0, 100.0, weight=1e-3), clamps, [Tie(first, second, weight=160.0)])
+        solution = relax_group(group)
+        assert certified(solution) and solution.iterations[0] < 20
+        np.testing.assert_allclose(solution.start_force[0, 0], [0, 0, 160.0 + 2e-3 * 800.0], rtol=1e-6, atol=1e-6)
+        np.testing.assert_allclose(solution.rods[1].vertices[0, -1], [0, 0, -800.0], atol=1e-4)
