@@ -133,9 +133,12 @@ class GroupContacts(ties.Ties, SelfContacts):
         return given + noise
 
     def end_round(self, rod, lane, calm, rests, moved):
-        """As of one rod; but where ties still miss that the next step closes, it is taken first."""
-        missing = ~self.draws(rod) & (self.miss(rod) > ties.TIE_TOLERANCE)
-        return SelfContacts.end_round(self, rod, lane, calm & ~missing, rests & ~missing, moved) | (rests & missing)
+        """As of one rod; but where ties still miss that the next step closes, it is taken first. Rods that ties draw together
+        may be deep inside each other until then."""
+        drawing = self.draws(rod)
+        missing = ~drawing & (self.miss(rod) > ties.TIE_TOLERANCE)
+        ended = SelfContacts.end_round(self, rod, lane, calm & ~missing, rests & ~missing, moved & ~drawing)
+        return ended | (rests & missing)
 
     def update_forces(self, rod, due):
         """End a round with new forces of contacts and, a first one, of ties. Returns the largest change of a gap that they

@@ -67,13 +67,15 @@ class ContactRounds(ContactEnergy):
 
     def end_round(self, rod, lane, calm, rests, moved):
         """End a round where a lane's rod ``rests`` under the forces of its contacts or, while these still change, is ``calm``
-        to a rougher tolerance, or where a step has ``moved`` it deeper than its radius into itself: strands that have come to
-        each other's middle do not find out again. Returns the lanes in which another round follows."""
+        to a rougher tolerance, or where a step has ``moved`` it deeper into itself, by more than its radius: strands that have
+        come to each other's middle do not find out again. Returns the lanes in which another round follows."""
         zero = 0.0 * rod.total
         fine = self.is_fine(rod)
         due = rests | (calm & ~fine)
         if ti.static(self.itself):
-            due = due | (moved & ~fine & (rod.contacts.least_gap < 0.0 - rod.contacts.radius))
+            gap = rod.contacts.least_gap
+            due = due | (moved & ~fine & (gap < 0.0 - rod.contacts.radius) & (gap < rod.contacts.gap_kept))
+            choose(rod.contacts, moved, gap_kept=gap)
         due = due & (lane.active > 0.5)
         again = variable((due,))
         if self.some(due, zero):

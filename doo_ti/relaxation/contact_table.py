@@ -38,12 +38,12 @@ crossing           the square of the largest share of its way to the middle of a
 least_phi, least_gap  the least φ, and the least gap where no clamp holds the rod
 force_change       by how much the step changed a force by updating forces"""
 STEP = Layout(update_stiffness=1, updates=1, compliance=1, refused=1, has_met=1, penalty_kept=1, some_refused=1,
-              longest_edge=1)
+              longest_edge=1, gap_kept=1)
 """update_stiffness, updates   κ with which the step updates forces, zero where it does not; how many steps have done so
 compliance                 1/κ
 refused, has_met        one where the step before was refused; one where the derivatives therefore have a contact that does
                            not push (:meth:`.ContactEnergy.take_met`)
-penalty_kept               ``penalty`` at the accepted frames
+penalty_kept, gap_kept     ``penalty`` and ``least_gap`` at the accepted frames
 some_refused, longest_edge  one number for all rods of the pack: whether any is ``refused``; the longest edge"""
 EDGE = Layout(
     gradient=3, gradient_s=3, curvatures=6, curvatures_s=9, curvatures_ss=6, between=("gradient", 27), excess=3, excess_s=3,

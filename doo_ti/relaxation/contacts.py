@@ -138,7 +138,7 @@ class RodContacts(ContactRounds):
         reach = layout.CLOSE * radius + 0.5 * scale.longest
         base.radius, base.tolerance, base.reach, base.first_stiffness = radius, tolerance, reach, stiffness
         base.change, base.phase, base.work, base.retried = 1e30, layout.ROUGH, 0.0, 0.0
-        base.first_viscosity, base.update_stiffness, base.updates, base.refused = viscosity, 0.0, 0.0, 0.0
+        base.first_viscosity, base.update_stiffness, base.updates, base.refused, base.gap_kept = viscosity, 0.0, 0.0, 0.0, 1e30
         for o in range(count):
             at = self.obstacle(one, o)
             for k in range(OBSTACLE_COLUMNS):

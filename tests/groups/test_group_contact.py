@@ -5,12 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from doo_ti import Clamp, Configuration, Cylinder, Group, Itself, Material, Plane, Tie, Touch, follow_group, relax_group
+from doo_ti import Clamp, Configuration, Cylinder, Group, Itself, Material, Plane, Status, Tie, Touch, follow_group, relax_group
 from doo_ti.rod.shapes import end_clamps, rod_along, straight_rod
 from tests.contact.topology import linking
 from tests.oracle.chain_form import chain_energy, rod_of
 from tests.references.rods import certified
 from tests.relaxation.rods import wandering
+from tools.studies.group_study import drawn
 
 RADIUS, STIFFNESS = 1.0, 1e5
 WEIGHTLESS = Material(STIFFNESS, STIFFNESS, 0.0)
@@ -215,3 +216,12 @@ def test_a_heavy_end_stays_on_its_side_of_a_peg(friction):
         assert certified(solution)
     hung = load + 2 * mu * (10.0 + 150.0)
     assert -solution.end_force[0, 0, 2] + 2 * mu * 150.0 == pytest.approx(hung * np.exp(friction * np.pi), rel=0.02)
+
+
+@pytest.mark.parametrize("clamp", [Clamp.POSITION, Clamp.FRAME])
+def test_ropes_that_are_tied_and_touch_come_to_rest(clamp):
+    """Of random groups, whose points to tie are 70 mm apart at first, nearly all."""
+    group = drawn(np.random.default_rng(3), 60, clamp, tied=True)
+    solution = relax_group(group, radius=RADIUS)
+    sound = solution.status != Status.INFEASIBLE
+    assert sound.sum() > 50 and solution.stable[sound].mean() > 0.93
