@@ -295,6 +295,11 @@ def rows(option: str, text: str | None, count: int) -> tuple[int, ...]:
     return found
 
 
+def either(words: dict[str, object], otherwise: Reader) -> Reader:
+    """What one of the ``words`` stands for, or what ``otherwise`` reads."""
+    return lambda option, text: words[text] if text in words else otherwise(option, text)
+
+
 def direction(option: str, text: str) -> np.ndarray:
     """(3,) unit vector of ``-y`` or ``0,-1,0``."""
     axis = text.lower().lstrip("+-")

@@ -47,8 +47,8 @@ def declare(add) -> None:
               "of --rest-length are off by " f"{loading.MEASURED:g}, others by {UNKNOWN_SPACING:g})")
     given.add(parser, "--sigma", "MM", given.LENGTH, "label uncertainty (default: the file's, else learned)")
     model = parser.add_argument_group("the model of the experiment")
-    given.add(model, "--clip", "MM|unknown", _clip, "length of rod that a clip holds, from the outer mark on; 0: "
-              "it ends at that mark (default: unknown, which is learned)")
+    given.add(model, "--clip", "MM|unknown", given.either({"unknown": None}, given.not_negative("mm")), "length of rod that a "
+              "clip holds, from the outer mark on; 0: it ends at that mark (default: unknown, which is learned)")
     model.add_argument("--rest-curvature", choices=CURVATURES, default=None,
                        help="curvature of the unloaded rod: field, a smooth function along it; uniform; none; auto, field "
                        "unless frames are missing and the evidence is for a straight rod (default)")
@@ -73,10 +73,6 @@ def declare(add) -> None:
     loading.add_loading(parser)
     given.add_file(parser, "--out", "F.json",
                    f"file for the results of all sources (default: those of a run in RUN/{REFINED} only)")
-
-
-def _clip(option: str, text: str) -> float | None:
-    return None if text == "unknown" else given.not_negative("mm")(option, text)
 
 
 def _frames(option: str, text: str) -> str | tuple[float, float]:

@@ -37,7 +37,7 @@ def declare(add) -> None:
     given.add(parser, "--out", "FOLDER", given.FOLDER, "folder to write", required=True)
     parser.add_argument("--by", choices=("end-distance",), dest="by_end_distance",
                         help="also draw a landscape for each end distance")
-    parser.add_argument("--cells", metavar="all|N", type=_cells, default=MOST_CELLS,
+    parser.add_argument("--cells", metavar="all|N", type=given.either({"all": None}, given.COUNT), default=MOST_CELLS,
                         help=f"how many cells of the grid to record, evenly spread (default: at most {MOST_CELLS})")
     given.add(parser, "--observation", "N", given.FROM_ZERO, "the observation whose ribbon is drawn in each regime (default: "
               "the one where the regimes differ most)")
@@ -50,11 +50,6 @@ def declare(add) -> None:
                        help="serve the viewer to a browser on this machine until Ctrl-C, instead of opening a window")
     given.add_file(shown, "--screenshot", "FILE.png",
                    "save a picture of the viewer, without a display (needs a Vulkan driver: docs/recording.md)")
-
-
-def _cells(option: str, text: str) -> int | None:
-    """How many cells to record at most; None: all."""
-    return None if text == "all" else given.COUNT(option, text)
 
 
 # --- learn ---------------------------------------------------------------------------------------------------------------
