@@ -3,7 +3,7 @@ checked before any image is read."""
 
 import os
 from argparse import ArgumentParser, Namespace
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -236,21 +236,24 @@ class SeenRods:
     guessed: bool  # the stiffness is not given: it is GUESSED_BEND
 
 
-def seen_rods(options: Namespace, which: str, sets: ImageSets, method: str = "ridge") -> SeenRods:
-    """The rods in the images of ``sets``; ``which`` names them in messages. Raises InputError naming the option or file at
-    fault."""
+def seen_rods(options: Namespace, which: str, load: Callable[[Rig], tuple[ImageSets, object]], method: str = "ridge"
+              ) -> tuple[SeenRods, object]:
+    """The rods in the images that ``load`` finds, and what it finds beside them; ``which`` names the rods in messages. Raises
+    InputError naming the option or file at fault."""
     guessed = options.theta is None and all(getattr(options, name) is None for name in given.MATERIAL)
     if guessed:
         options.bend = repr(GUESSED_BEND)
     grid, up = given.round_cell(options, which), given.world_up(options)
     rest_length = None if options.rest_length is None else read_rest_length(options.rest_length)
     surroundings = given.surroundings(options)
+    sets, beside = load(rig(options))
     if rest_length is not None and sets.direction is not None:
         sets.rig.check_sight(sets.point + rest_length.min() * sets.direction, "the first edge")
     if rest_length is not None:
         given.refuse(options, ("edge", "length"), "given beside --rest-length", "give the one or the other")
     bounds = LengthBounds(*options.length or (0.0, np.inf), options.edge)
-    return SeenRods(sets, rest_length, bounds, grid.materials(), sight(options, sets, method), up, surroundings, guessed)
+    seen = SeenRods(sets, rest_length, bounds, grid.materials(), sight(options, sets, method), up, surroundings, guessed)
+    return seen, beside
 
 
 @dataclass(frozen=True)
@@ -264,8 +267,11 @@ class PerceptionTask(SeenRods):
 
 def perception_task(options: Namespace) -> PerceptionTask:
     """Raises InputError naming the option or file at fault."""
-    seen = seen_rods(options, "perceived", _sets(options, rig(options)), options.detector)
-    truth = _truth(options, seen.sets.names)
+    def load(rig: Rig) -> tuple[ImageSets, np.ndarray | None]:
+        sets = _sets(options, rig)
+        return sets, _truth(options, sets.names)
+
+    seen, truth = seen_rods(options, "perceived", load, options.detector)
 
     from doo_ti.perception.perceive import PerceptionOptions
 

@@ -149,24 +149,24 @@ def _lines(rods: HeldRods, stepping, prediction, result: dict, summary: dict) ->
     how = f"{summary['stable']} of {count * moments} certified stable"
     if stepping is not None:
         how = f"{stepping.substeps} quasi-static steps between states"
-    lines = [f"{rods.name}: {counted(count, 'rod')} of {summary['edges']} edges at {moments} moments",
-             f"  status      {results.status_text(summary['status'])}; {how}", *results.contact_lines(summary, count),
-             *results.rows(("infeasible", _inside(rods, prediction))), *results.force_lines(result, 1),
-             f"  far clamp   at the end turned about the rod by {_range(summary['end_rotation_deg'])}, total twist "
-             f"{_range(summary['total_twist_deg'])}"]
     where = "all stayed on their branch" + ", as far as they were followed" * bool(len(lost))
     if falls:
         where = f"to another branch, {len({fall['rod'] for fall in falls})} of {count} rods"
-    if stepping is None:
-        lines.append(f"  jumps       {int(prediction.jumps.sum())}, {where}")
-    lines += results.shortened([
-        f"    {fall['name']}: between {fall['from_s']:g} and {fall['to_s']:g} s; the far clamp is then turned about the rod by "
-        f"{fall['end_rotation_deg']:.1f}°" for fall in falls], MOST_LISTED, "    and {} more")
-    if len(lost):
-        lines.append(f"  lost        {len(lost)} of {count} rods cannot follow the motion to its end")
-    return lines + results.shortened([
-        f"    {rods.names[rod]}: no prediction from {prediction.time[int(np.argmin(prediction.followed[:, rod]))]:g} s on"
-        for rod in lost], MOST_LISTED, "    and {} more")
+    return [
+        f"{rods.name}: {counted(count, 'rod')} of {summary['edges']} edges at {moments} moments",
+        *results.rows(
+            ("status", f"{results.status_text(summary['status'])}; {how}"), results.contact_row(summary, count),
+            ("infeasible", _inside(rods, prediction)), *results.force_rows(result, 1),
+            ("far clamp", f"at the end turned about the rod by {_range(summary['end_rotation_deg'])}, total twist "
+                          f"{_range(summary['total_twist_deg'])}"),
+            ("jumps", stepping is None and f"{int(prediction.jumps.sum())}, {where}")),
+        *results.shortened([
+            f"    {fall['name']}: between {fall['from_s']:g} and {fall['to_s']:g} s; the far clamp is then turned about the "
+            f"rod by {fall['end_rotation_deg']:.1f}°" for fall in falls], MOST_LISTED, "    and {} more"),
+        *results.rows(("lost", len(lost) and f"{len(lost)} of {count} rods cannot follow the motion to its end")),
+        *results.shortened([
+            f"    {rods.names[rod]}: no prediction from {prediction.time[int(np.argmin(prediction.followed[:, rod]))]:g} s on"
+            for rod in lost], MOST_LISTED, "    and {} more")]
 
 
 def _inside(rods: HeldRods, prediction) -> str | None:

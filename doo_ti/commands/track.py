@@ -74,10 +74,9 @@ def run(options: Namespace) -> int:
 
 def tracking_task(options: Namespace) -> TrackingTask:
     """Raises InputError naming the option or file at fault."""
-    frames, time = load_frames(Path(options.frames), image_options.rig(options),
-                               lambda rig: image_options.clicked(options, rig))
-    seen = image_options.seen_rods(options, "tracked", frames)
-    far = None if options.motion is None else _far_motions(Path(options.motion), frames.count)
+    seen, time = image_options.seen_rods(options, "tracked", lambda rig: load_frames(
+        Path(options.frames), rig, lambda rig: image_options.clicked(options, rig)))
+    far = None if options.motion is None else _far_motions(Path(options.motion), seen.sets.count)
     return TrackingTask(**vars(seen), time=time, far=far)
 
 
