@@ -100,7 +100,11 @@ def held_rods(options: Namespace, out: Path, kinds: tuple[Clamp | None, Clamp | 
     inertia."""
     if options.motion is None:
         raise InputError(given.SOURCE, "--motion", "missing", "name a file of poses, or give a scene of motion")
-    grid, surroundings = given.grid(options), with_friction_of_theta(options, given.surroundings(options))
+    grid, surroundings, theta = given.grid(options), given.surroundings(options), given.theta(options)
+    if theta is not None and theta.friction is not None:
+        use = "that of all obstacles" if surroundings.bodies else "ignored without obstacles"
+        options.friction_note = f"; its friction of {theta.friction:.3g} is {use}"
+        surroundings = surroundings.rubbing(theta.friction)
     observations = loading.load(options, options.source)
     refuse_overwriting(out, options.source, options.motion)
     path = _path(options, observations.up)
@@ -276,16 +280,6 @@ def losses(options: Namespace) -> Dynamics:
     theta = given.theta(options)
     found = Dynamics() if theta is None else simulated([theta])[1]
     return replace(found, **{name: getattr(options, name) for name in LOSSES if getattr(options, name) is not None})
-
-
-def with_friction_of_theta(options: Namespace, surroundings: Surroundings) -> Surroundings:
-    """The surroundings with the friction that ``--theta`` states, if it does."""
-    theta = given.theta(options)
-    if theta is None or theta.friction is None:
-        return surroundings
-    use = "that of all obstacles" if surroundings.bodies else "ignored without obstacles"
-    options.friction_note = f"; its friction of {theta.friction:.3g} is {use}"
-    return surroundings.rubbing(theta.friction)
 
 
 def require_length(source, theta, length: float) -> None:

@@ -40,7 +40,13 @@ def run_plan(options: Namespace) -> int:
     scene = load_scene(options.source) if Path(options.source).suffix == ".toml" else None
     grid = given.grid(options, scene.grid if scene else None)
     sigma, out = options.sigma, options.out
-    configurations = _configurations(options, scene)
+    if scene and isinstance(scene.observations, Synthesis):  # the candidates of its recipe
+        from doo_ti.refinement.plan import planned
+
+        noise = scene.observations.label_noise_mm
+        configurations = replace(planned(scene.observations), sigma=np.array(noise) if noise > 0 else None)
+    else:
+        configurations = loading.of_scene(options, scene) if scene else loading.load(options, options.source)
     measured = given.rows("--measured", options.measured, configurations.count)
     if sigma is None:
         sigma = SIGMA_MM if configurations.sigma is None else float(np.mean(configurations.sigma))
@@ -57,17 +63,6 @@ def run_plan(options: Namespace) -> int:
     written = [] if out is None else [f"  written to {in_line(out)}"]
     report(options, summary, lambda: [*_lines(configurations, found, sigma), *written])
     return 0
-
-
-def _configurations(options: Namespace, scene) -> Observations:
-    """The candidate configurations: those of the scene's recipe, or the observations."""
-    recipe = scene.observations if scene and isinstance(scene.observations, Synthesis) else None
-    if recipe is None:
-        return loading.of_scene(options, scene) if scene else loading.load(options, options.source)
-
-    from doo_ti.refinement.plan import planned
-
-    return replace(planned(recipe), sigma=np.array(recipe.label_noise_mm) if recipe.label_noise_mm > 0 else None)
 
 
 def _named(configurations: Observations, row: int) -> str:

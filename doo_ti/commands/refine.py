@@ -159,26 +159,20 @@ def _other_up(task: Task, theta) -> dict | None:
 
 
 def _kept(landscape, found, summary: dict) -> list[Path]:
-    """Write the result into the folder of its run, as --json prints it, and its picture; returns the files."""
-    path = landscape.run / REFINED
+    """Write the result into the folder of its run, as --json prints it, and where the grid has two of the learned parameters
+    the landscape with their joint 95 % region; returns the files."""
+    path, grid, estimate = landscape.run / REFINED, landscape.grid, found.estimate
     save_json(path, [summary])
-    picture = _draw(landscape, found, path.with_suffix(".png"))
-    return [path, picture] if picture else [path]
-
-
-def _draw(landscape, found, path: Path) -> Path | None:
-    """The landscape with the joint 95 % region; none where the grid has not two of the learned parameters."""
-    grid, estimate = landscape.grid, found.estimate
     free = [axis.name for axis in grid.axes if len(axis) > 1]
     pair = [{"twist_ratio": "twist"}.get(name, name) for name in free]
     if len(free) != 2 or not set(pair) <= set(estimate.names) or np.isnan(landscape.mean_distance).all():
-        return None
+        return [path]
     outline = estimate.region(*pair)
     if "twist_ratio" in free:
         outline[:, free.index("twist_ratio")] /= outline[:, 1 - free.index("twist_ratio")]
-    landscape_picture(path, plane_of(landscape), region=outline,
+    landscape_picture(path.with_suffix(".png"), plane_of(landscape), region=outline,
                       title=f"{landscape.name}: the grid's error, and the 95 % region of the refined model")
-    return path
+    return [path, path.with_suffix(".png")]
 
 
 def _task(options: Namespace, source: str) -> Task:
@@ -186,7 +180,9 @@ def _task(options: Namespace, source: str) -> Task:
     density = options.linear_density
     if os.path.isdir(source):
         observations, thetas, kinds, weight, around, landscape = _of_run(options, Path(source))
-        density = run_density(Path(source)) if density is None else density
+        if density is None:  # that which its sweep was given
+            density = read_summary(Path(source)).get(DENSITY)
+            density = float(density) if isinstance(density, (int, float)) and 0 < density < np.inf else None
         grid = landscape.grid
     else:
         from doo_ti.refinement.search import theta_of_cell
@@ -230,12 +226,6 @@ def _loads(text: str, observations: Observations, density: float | None) -> np.n
     if not (np.isfinite(mass) & (mass >= 0)).all():
         raise InputError(text, "mass_g", "not finite, or negative", "give grams, zero where nothing hangs")
     return 2e3 * mass / density
-
-
-def run_density(run: Path) -> float | None:
-    """The linear density in g/m that the sweep of a run was given."""
-    density = read_summary(run).get(DENSITY)
-    return float(density) if isinstance(density, (int, float)) and 0 < density < np.inf else None
 
 
 def _of_run(options: Namespace, run: Path):

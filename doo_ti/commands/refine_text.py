@@ -37,13 +37,16 @@ def summary_of(observations: Observations, surroundings: Surroundings, found, he
     pairs = [(first, second) for k, first in enumerate(names) for second in names[k + 1 :]
              if not (first.startswith("up") or second.startswith("up"))]
     constant = estimate.values.constant.reshape(2, 2, 3)
+    densities = None if density is None else [density] * 3
+    if density is not None and loaded and "weight" in names:  # with its interval, learned
+        densities = [None if end is None else density * end for end in _ends(estimate.parameter("weight"))]
     summary = {
         "material": observations.name, "source": observations.source, "observations": observations.count,
         "theta": _theta(found.theta), "parameters": [asdict(parameter) for parameter in estimate.parameters],
         "unknowns": names, "covariance": estimate.covariance, "correlation": estimate.correlation,
         "degrees_of_freedom": estimate.degrees, "not_determined": estimate.left_open,
         "stiffness": _stiffness(estimate, density, loaded),
-        "linear_density_g_per_m": None if density is None else _density(estimate, density, loaded),
+        "linear_density_g_per_m": densities,
         "rest_curvature_per_mm": {"spread": scales["curvature"], "range_mm": scales["range"],
                                   "root_mean_square": 0.0 if rest is None else float(np.sqrt((np.asarray(rest) ** 2).mean()))},
         "stiffness_along": {"factor": along, "root_mean_square": float(np.sqrt((np.log(along) ** 2).mean()))},
@@ -107,13 +110,6 @@ def _stiffness(estimate, density: float | None, loaded: bool) -> dict:
                        for end in _ends(estimate.parameter(parameter.name))]
             result[f"{symbol}_Nm2"] = [None if end is None else stiffness(end, density) for end in own]
     return result
-
-
-def _density(estimate, density: float, loaded: bool) -> list[float | None]:
-    """The rod's mass per length in g/m, as it was given or, with its interval, learned."""
-    if not loaded or "weight" not in estimate.names:
-        return [density] * 3
-    return [None if end is None else density * end for end in _ends(estimate.parameter("weight"))]
 
 
 def _ends(parameter) -> list[float | None]:

@@ -124,12 +124,6 @@ def run_figures(options: Namespace) -> int:
     files += record_cells(study, options.out)
     with busy("drawing ribbons"):
         files += draw_ribbons(study, options.out)
-    _report_figures(options, study, files)
-    return 0
-
-
-def _report_figures(options: Namespace, study, files: list[dict]) -> None:
-    """The files, and which cells were recorded where not all were."""
     names, cells, recorded = study.names, study.landscapes[0].grid.size, study.cells.grid.size
 
     def lines() -> list[str]:
@@ -142,6 +136,7 @@ def _report_figures(options: Namespace, study, files: list[dict]) -> None:
 
     report(options, {"runs": names, "cells": cells, "recorded_cells": recorded, "recorded_values": study.recorded_values,
                      "files": files}, lines)
+    return 0
 
 
 # --- view ----------------------------------------------------------------------------------------------------------------

@@ -136,7 +136,10 @@ def _search(options: Namespace, source: str, run: Path) -> _Search:
         observations = loading.with_ends_in_reach(observations, clamp_start, clamp_end)
     clamps = observation_clamps(observations, clamp_start, clamp_end)
     check_experiment(observations, clamps, grid.axes[-1].values[-1], frame_weight)
-    pairs = _pairs(options, scene, observations, objective)
+    if options.pairs is not None and objective != "dynamic":
+        raise InputError(given.SOURCE, "--pairs", "given, but the objective is static", "add --objective dynamic")
+    file = options.pairs or scene.pairs
+    pairs = load_pairs(Path(file), observations) if file is not None and objective == "dynamic" else None
 
     from doo_ti.learning.experiment import SOLVERS, SweepOptions
 
@@ -149,14 +152,18 @@ def _search(options: Namespace, source: str, run: Path) -> _Search:
 
 
 def _lines(search: _Search, summary: dict, finished_before: bool) -> list[str]:
-    first, *rest = run_lines(summary)
+    (first, *rest), best = run_lines(summary), summary["best"]
     lines = [first, loading.rod_line(search.observations), *rest, *hypotheses_lines(summary, search.observations.labels)]
     if doubt := loading.up_text(summary.get("other_up")):
         lines.insert(2, f"  WARNING     {doubt}")
     clamps = observation_clamps(search.observations, search.options.clamp_start, search.options.clamp_end)
     rolls = search.grid.is_isotropic and Clamp.FRAME > min(clamps.start, clamps.end) and not search.options.spins
-    if search.density is not None and summary["best"]["weight"] > 0:
-        lines.append(_physical_line(search, summary["best"], rolls))
+    if search.density is not None and best["weight"] > 0:
+        names = {"EI": "bend_1"} if search.grid.is_isotropic else {"EI_1": "bend_1", "EI_2": "bend_2"}
+        values = {symbol: stiffness(relative_stiffness(best[name], best["weight"]), search.density)
+                  for symbol, name in (names | ({} if rolls else {"GJ": "twist"})).items()}
+        lines.append(f"  stiffness   {', '.join(f'{symbol} {value:.4g} N m²' for symbol, value in values.items())} in the best "
+                     "cell")
     if search.options.spins:
         lines.append(f"  note        rolls are tried in steps of {360 / search.options.spins:.3g}°: coarse steps narrow the "
                      "range of the twist ratio, fine ones leave it open")
@@ -167,8 +174,11 @@ def _lines(search: _Search, summary: dict, finished_before: bool) -> list[str]:
         lines.append("  note        only ratios matter: shapes stay the same when stiffness and weight grow together, so the "
                      "data do not determine both")
     if isinstance(search.scene.observations, Synthesis):
-        recipe = search.scene.observations
-        lines.append(f"  true Θ      {_true_theta(recipe)} (the virtual lab's, seed {recipe.seed})")
+        recipe, material = search.scene.observations, search.scene.observations.material()
+        (first_bend, mixed), (_, second) = material.bend[0, 0]
+        true = theta_text({"bend_1": first_bend, "bend_2": second, "bend_12": mixed, "twist": material.twist[0, 0],
+                           "weight": material.weight[0]}, material.is_isotropic)
+        lines.append(f"  true Θ      {true} (the virtual lab's, seed {recipe.seed})")
     lines.append(f"  {'finished before in' if finished_before else 'written to'} {in_line(search.run)}")
     if search.options.objective == "static" and not search.options.spins and not search.options.surroundings:
         swivels = rolls and Clamp.TANGENT > min(clamps.start, clamps.end)
@@ -177,33 +187,9 @@ def _lines(search: _Search, summary: dict, finished_before: bool) -> list[str]:
     return lines
 
 
-def _physical_line(search: _Search, best: dict, rolls: bool) -> str:
-    """The best cell in N m²; without GJ where an end ``rolls`` freely."""
-    names = {"EI": "bend_1"} if search.grid.is_isotropic else {"EI_1": "bend_1", "EI_2": "bend_2"}
-    values = {symbol: stiffness(relative_stiffness(best[name], best["weight"]), search.density)
-              for symbol, name in (names | ({} if rolls else {"GJ": "twist"})).items()}
-    return f"  stiffness   {', '.join(f'{symbol} {value:.4g} N m²' for symbol, value in values.items())} in the best cell"
-
-
 def _effort(summaries: list[dict], seconds: float) -> str:
     """``450,000 rods in 15.1 s, 29,800 rods/s; …``, of the rods relaxed now; none where all was finished before."""
     rods, loading, relaxing = (sum(summary["timing"][name] for summary in summaries)
                                for name in ("relaxed_rods", "loading_s", "relaxation_s"))
     work = f": {loading:.1f} s to load the kernels, {relaxing:.1f} s to relax ({rods / relaxing:,.0f} rods/s)" if rods else ""
     return f"{rods:,} rods in {seconds:.1f} s{work}"
-
-
-def _pairs(options: Namespace, scene: Scene, observations: Observations, objective: str) -> Pairs | None:
-    """The pairs of the command line's file, else of the scene's, else None."""
-    if options.pairs is not None and objective != "dynamic":
-        raise InputError(given.SOURCE, "--pairs", "given, but the objective is static", "add --objective dynamic")
-    file = options.pairs or scene.pairs
-    return load_pairs(Path(file), observations) if file is not None and objective == "dynamic" else None
-
-
-def _true_theta(synthesis: Synthesis) -> str:
-    """The true Θ of a simulated rod."""
-    material = synthesis.material()
-    (first, mixed), (_, second) = material.bend[0, 0]
-    return theta_text({"bend_1": first, "bend_2": second, "bend_12": mixed, "twist": material.twist[0, 0],
-                   "weight": material.weight[0]}, material.is_isotropic)
