@@ -137,7 +137,8 @@ def load_observations(path: str | os.PathLike[str], up: ArrayLike | None = None,
         if "total_twist" in values and values["total_twist"].dtype.kind != "b":
             values["total_twist"] = np.radians(values["total_twist"].astype(np.float64))
         if unit is not None:
-            values = _in_mm(values, keys.get("unit", 1.0), unit)
+            factor = mm_in(unit, "load_observations") / keys.get("unit", 1.0)
+            values |= {name: value * factor for name, value in values.items() if name in LENGTHS and value.dtype.kind != "b"}
     if "vertices_mm" not in keys:
         raise InputError(path, "vertices_mm", "the key is missing", "store the vertices as vertices_mm (D, V, 3)")
     if without_lost:
@@ -146,12 +147,6 @@ def load_observations(path: str | os.PathLike[str], up: ArrayLike | None = None,
     if observations.total_twist is not None:
         _check_turns(observations)
     return observations if up is None else replace(observations, up=np.asarray(up))
-
-
-def _in_mm(values: dict, read_as: float, unit: str) -> dict:
-    """``values`` with all lengths taken to be in ``unit``; they were read as ``read_as`` mm."""
-    factor = mm_in(unit, "load_observations") / read_as
-    return {name: value * factor if name in LENGTHS and value.dtype.kind != "b" else value for name, value in values.items()}
 
 
 def _without_lost(values: dict) -> dict:

@@ -188,28 +188,22 @@ def _parquet_columns(path: Path, content: bytes, renamed) -> tuple[dict[str, np.
         table = file.read(list({column for column, _ in named.values()}))
     except (pyarrow.ArrowException, OSError, UnicodeDecodeError) as error:
         raise InputError(path, "file", f"is not a Parquet table ({first_line(error)})", "write one row per vertex") from None
-    return ({name: factor * _parquet_numbers(path, column, table.column(column)) if name != "observation"
-             else _parquet_labels(path, column, table.column(column)) for name, (column, factor) in named.items()},
+    values = {name: _parquet_values(path, column, table.column(column), name == "observation")
+              for name, (column, _) in named.items()}
+    return ({name: own if own.dtype.kind == "U" else named[name][1] * own for name, own in values.items()},
             lambda row: f"row {row + 1}", named[_POSITION[0]][1])
 
 
-def _parquet_labels(path: Path, name: str, column) -> np.ndarray:
-    """(N,) texts of a pyarrow column that has one in every row, else its numbers."""
-    import pyarrow.types as types
-
-    if (types.is_string(column.type) or types.is_large_string(column.type)) and not column.null_count:
-        return np.array(column.to_pylist())
-    return _parquet_numbers(path, name, column)
-
-
-def _parquet_numbers(path: Path, name: str, column) -> np.ndarray:
-    """(N,) f64 of a pyarrow column, NaN where it is empty."""
+def _parquet_values(path: Path, name: str, column, texts: bool) -> np.ndarray:
+    """(N,) f64 of a pyarrow column, NaN where it is empty; or its ``texts``, if it may have them and has one in every row."""
     import pyarrow.types as types
 
     kind = column.type
     if types.is_null(kind):
         return np.full(len(column), np.nan)
     if types.is_string(kind) or types.is_large_string(kind):
+        if texts and not column.null_count:
+            return np.array(column.to_pylist())
         raise InputError(path, name, f"numbers stored as text, {column[0].as_py()!r} in row 1", "store numbers")
     if not (types.is_integer(kind) or types.is_floating(kind) or types.is_boolean(kind)):
         raise InputError(path, name, f"type {kind} is not numeric", "store numbers")

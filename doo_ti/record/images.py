@@ -47,7 +47,9 @@ def record_perception(path, *, run_id: str, name: str, rig: Rig, rods: list[Seen
             for number, step in enumerate(steps, 2):
                 stream.set_time("edges", sequence=number)
                 stream.log(f"curves/{place}/energy_vis", rerun.AnyValues(per_mm=step.energy_vis, kept=step.kept))
-                _log_curves(stream, place, rig, _step_curves(step))
+                kept = np.flatnonzero(step.kept)  # the best, the others that are kept, and those that are pruned
+                own = {"rods": kept[:1], "kept": kept[1:], "pruned": np.flatnonzero(~step.kept)}
+                _log_curves(stream, place, rig, {name: list(step.vertices[some]) for name, some in own.items()})
             stream.set_time("edges", sequence=len(steps) + 2)
             _log_curves(stream, place, rig, {
                 "rods": [seen.best], "runner_up": [] if seen.runner_up is None else [seen.runner_up], "kept": [], "pruned": []})
@@ -89,13 +91,6 @@ def _log_styles(stream, place: str, rig: Rig) -> None:
             order = {} if strips is rerun.LineStrips3D else {"draw_order": {"pruned": 6.0, "kept": 7.0}.get(name, 9.0)}
             stream.log(f"{root}/{name}", strips.from_fields(colors=[color], radii=rerun.Radius.ui_points(width), **order),
                        static=True)
-
-
-def _step_curves(step: GrowthStep) -> dict[str, list[np.ndarray]]:
-    """The hypotheses of a step: the best, the others that are kept, and those that are pruned."""
-    kept = np.flatnonzero(step.kept)
-    rows = {"rods": kept[:1], "kept": kept[1:], "pruned": np.flatnonzero(~step.kept)}
-    return {name: list(step.vertices[own]) for name, own in rows.items()}
 
 
 def _log_curves(stream, place: str, rig: Rig, curves: dict[str, list[np.ndarray]]) -> None:

@@ -96,19 +96,13 @@ def draw_landscape(plane: LandscapePlane, title: str, region: np.ndarray | None 
     if plane.minimum is not None:
         label_minimum(axes, plane)
     if newton_per_bend is not None and plane.axes[0][0] in ("bend", "bend_1"):
-        _draw_stiffness_axis(axes, plane, newton_per_bend)
+        above = axes.secondary_xaxis("top", functions=(lambda bend: bend * newton_per_bend, lambda EI: EI / newton_per_bend))
+        canvas.plain_ticks(above.xaxis, plane.axes[0][2], *axes.get_xlim())
+        above.tick_params(labelsize=11)
+        above.set_xlabel("EI [N m²]", fontsize=13)
     axes.set_title("\n".join([canvas.literal(title), *_remarks(plane)]), fontsize=14, pad=12)
     _put_legend(figure, [plane], 1 if plane.hidden else 2, with_region=region is not None)
     return figure
-
-
-def _draw_stiffness_axis(axes, plane: LandscapePlane, newton_per_bend: float) -> None:
-    """EI above the picture, over the bend stiffness below."""
-    above = axes.secondary_xaxis("top", functions=(lambda bend: bend * newton_per_bend, lambda EI: EI / newton_per_bend))
-    low, high = axes.get_xlim()
-    canvas.plain_ticks(above.xaxis, plane.axes[0][2], low, high)
-    above.tick_params(labelsize=11)
-    above.set_xlabel("EI [N m²]", fontsize=13)
 
 
 def draw_panels(rows: list[list[LandscapePanel]], title: str, marks: str, relative: bool, dpi: int = canvas.PICTURE_DPI):
@@ -127,8 +121,10 @@ def draw_panels(rows: list[list[LandscapePanel]], title: str, marks: str, relati
         panel = rows[place[0]][place[1]]
         meshes.append(_draw_panel(figure, axes, panel, norm, size))
         drawn.append((axes, panel))
-        if relative:
-            _leave_inner_labels(axes, at_left=place[1] == 0, at_bottom=all(place[1] >= len(row) for row in rows[place[0] + 1:]))
+        if relative:  # over the same axes: they are labelled once, at the left and the bottom of the picture
+            at_left, at_bottom = place[1] == 0, all(place[1] >= len(row) for row in rows[place[0] + 1:])
+            axes.tick_params(labelleft=at_left, labelbottom=at_bottom)
+            axes.set(**({} if at_left else {"ylabel": ""}), **({} if at_bottom else {"xlabel": ""}))
     if relative:
         label = canvas.MEAN_DISTANCE.rpartition(" [")[0] + ", in multiples of the panel's smallest"
         _color_bar(figure, meshes[0], grid, label, extend="max")
@@ -163,16 +159,6 @@ def _draw(figure, axes, plane: LandscapePlane, norm, size: float):
     if plane.minimum is not None:
         draw_star(axes, plane, size)
     return mesh
-
-
-def _leave_inner_labels(axes, at_left: bool, at_bottom: bool) -> None:
-    """Panels over the same axes are labelled once, at the left and the bottom of the picture."""
-    if not at_left:
-        axes.set_ylabel("")
-        axes.tick_params(labelleft=False)
-    if not at_bottom:
-        axes.set_xlabel("")
-        axes.tick_params(labelbottom=False)
 
 
 def _multiples(plane: LandscapePlane) -> np.ndarray:

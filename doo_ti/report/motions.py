@@ -266,7 +266,12 @@ class MovingRods:
 def motions_picture(path_or_buffer, rods: MovingRods, *, title: str) -> None:
     """Write the motions as a PNG, at most the first ``MOST_DRAWN``, ``COLUMNS`` beside each other: each from the front and
     below that from above. Early moments are dark; the shapes before a jump, dashed, and after it are thick and red."""
+    from matplotlib import colormaps
+    from matplotlib.cm import ScalarMappable
+    from matplotlib.colors import Normalize
+
     shown, time = min(len(rods.names), MOST_DRAWN), rods.time
+    scale = ScalarMappable(Normalize(time[0], time[-1]), colormaps["viridis"])
     vertices, jumps = rods.vertices[:, :shown], rods.jumps[:, :shown]
     moments = np.unique(np.linspace(0, len(time) - 1, MOMENTS).round().astype(int))
     views = [rods.basis[[0, 2]], rods.basis[:2]]
@@ -286,7 +291,12 @@ def motions_picture(path_or_buffer, rods: MovingRods, *, title: str) -> None:
                 axes.set_axis_off()
                 continue
             axes.set(xlim=limits[row][0], ylim=limits[row][1], aspect="equal")
-            _draw_moments(axes, vertices[:, rod] @ view.T, time, moments, np.flatnonzero(jumps[:, rod]))
+            flat = vertices[:, rod] @ view.T
+            for moment in moments:
+                axes.plot(*flat[moment].T, color=scale.to_rgba(time[moment]), linewidth=1.4)
+            for moment in np.flatnonzero(jumps[:, rod]):
+                axes.plot(*flat[max(moment - 1, 0)].T, "--", color=JUMP, linewidth=1.8)
+                axes.plot(*flat[moment].T, color=JUMP, linewidth=1.8)
             if rods.touched is not None:
                 rods.touched.draw(axes, rod, view, len(time) - 1)
             axes.grid(alpha=0.2)
@@ -296,27 +306,9 @@ def motions_picture(path_or_buffer, rods: MovingRods, *, title: str) -> None:
                 count = int(jumps[:, rod].sum())
                 axes.set_title(literal(rods.names[rod]) + f": {count} jump{'s' * (count != 1)}" * (count > 0), fontsize=10)
     figure.supxlabel(f"{direction(views[0][0])} [mm]", fontsize=10)
-    figure.colorbar(_time_scale(time), ax=list(panels.ravel()), pad=0.01, aspect=40).set_label("time [s]", fontsize=10)
+    figure.colorbar(scale, ax=list(panels.ravel()), pad=0.01, aspect=40).set_label("time [s]", fontsize=10)
     more = f" ({len(rods.names) - shown} more are not drawn)" if len(rods.names) > shown else ""
     red = "\nred: before a jump (dashed) and after it" if jumps.any() else ""
     blue = "" if rods.touched is None else f"\n{rods.touched.legend_at_end}"
     figure.suptitle(f"{literal(title)}{more}{red}{blue}", fontsize=10)
     save_figure(figure, path_or_buffer)
-
-
-def _draw_moments(axes, flat: np.ndarray, time: np.ndarray, moments: np.ndarray, jumps: np.ndarray) -> None:
-    """Shapes (T, V, 2) at some moments, and before and after jumps."""
-    scale = _time_scale(time)
-    for moment in moments:
-        axes.plot(*flat[moment].T, color=scale.to_rgba(time[moment]), linewidth=1.4)
-    for moment in jumps:
-        axes.plot(*flat[max(moment - 1, 0)].T, "--", color=JUMP, linewidth=1.8)
-        axes.plot(*flat[moment].T, color=JUMP, linewidth=1.8)
-
-
-def _time_scale(time: np.ndarray):
-    from matplotlib import colormaps
-    from matplotlib.cm import ScalarMappable
-    from matplotlib.colors import Normalize
-
-    return ScalarMappable(Normalize(time[0], time[-1]), colormaps["viridis"])
