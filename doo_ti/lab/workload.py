@@ -100,20 +100,6 @@ def in_turn(tables: list[tuple[Configuration, Clamps]]) -> tuple[Configuration, 
     return together.take(turns), Clamps.concatenate(clamps).take(turns)
 
 
-def isotropic_materials(count: int) -> Material:
-    """G materials, bend and twist ratio log-uniform over the grid's ranges, from the fixed seed."""
-    random = np.random.default_rng(SEED)
-    bend = log_uniform(random, BEND_RANGE, count)
-    return Material(bend, bend * log_uniform(random, TWIST_RATIO_RANGE, count))
-
-
-def ribbon_materials(count: int) -> Material:
-    """G materials, bend_1 and bend_2 log-uniform over the grid's range, the ribbon's twist, from the fixed seed."""
-    random = np.random.default_rng(SEED)
-    first, second = (log_uniform(random, BEND_RANGE, count) for _ in range(2))
-    return Material.diagonal(first, second, RIBBON_TWIST)
-
-
 def log_uniform(random: np.random.Generator, limits: tuple[float, float], count: int) -> np.ndarray:
     """(count,) numbers whose logarithm is uniform between those of ``limits``."""
     return np.exp(random.uniform(*np.log(limits), size=count))

@@ -105,17 +105,13 @@ def _by_end_distance(together: LandscapePanel, landscape: Landscape) -> list[Lan
         raise InputError(landscape.run, "end_distance_mm", "unknown",
                          "do not partition by end distance, or give the observations the label")
     distances = np.unique(landscape.end_distance)
-    parts = [plane_of(_terms(landscape, landscape.end_distance == distance)) for distance in distances]
+    of_terms = [field.name for field in fields(landscape) if isinstance(getattr(landscape, field.name), np.ndarray)]
+    parts = [plane_of(replace(landscape, **{name: getattr(landscape, name)[..., landscape.end_distance == distance]
+                                            for name in of_terms})) for distance in distances]
     row = [LandscapePanel(f"{together.title}, {distance:g} mm", part, (("", together.plane.minimum),))
            for distance, part in zip(distances, parts, strict=True)]
     marks = tuple((f"{distance:g}", part.minimum) for distance, part in zip(distances, parts, strict=True))
     return [*row, LandscapePanel(f"{together.title}, all", together.plane, marks)]
-
-
-def _terms(landscape: Landscape, which: np.ndarray) -> Landscape:
-    """The landscape of some of its terms."""
-    values = {field.name: getattr(landscape, field.name) for field in fields(landscape)}
-    return replace(landscape, **{name: value[..., which] for name, value in values.items() if isinstance(value, np.ndarray)})
 
 
 def _in_rows(panels: list[LandscapePanel]) -> list[list[LandscapePanel]]:

@@ -55,7 +55,9 @@ def claim(run: Path, identity: str, experiment: Experiment) -> None:
     for folder in (run, path.parent, run / "hypotheses"):
         remove_leftovers(folder)
     if not os.path.exists(path):
-        if not _is_free(run) and not path.exists():  # checked again: another process may have claimed and filled it
+        others = [other for other in run.rglob("*") if other != path.parent and not (  # than an interrupted claim leaves
+            other.parent == path.parent and other.name.startswith(f".{IDENTITY}."))]
+        if others and not path.exists():  # checked again: another process may have claimed and filled it
             raise InputError(run, "run", "the folder holds something else than a sweep", "name another folder")
         with suppress(FileExistsError):  # another process was faster: the identity is compared below
             write_whole(path, lambda file: file.write(f"{identity}\n{made}\n".encode()), first=True)
@@ -74,12 +76,6 @@ def claim(run: Path, identity: str, experiment: Experiment) -> None:
     plan = {"material": experiment.observations.name, "grid": experiment.grid.as_dict(), "hypotheses": None,
             "provenance": {**_inputs(experiment), "sweep_sha256": identity}}
     write_text(path.with_name(PLAN), json.dumps(plan, indent=2) + "\n")
-
-
-def _is_free(run: Path) -> bool:
-    """Whether a folder holds nothing but what an interrupted claim leaves."""
-    cells = run / "cells"
-    return all(path == cells or (path.parent == cells and path.name.startswith(f".{IDENTITY}.")) for path in run.rglob("*"))
 
 
 def finished(run: Path, identity: str, chunks: int) -> dict | None:

@@ -122,22 +122,19 @@ def _growth_layout(rig: Rig, places: list[str], rods: list[SeenRod], up: np.ndar
         space = viewer.space_view("Hypotheses: best and kept blue, pruned red", f"world/{place}",
                                   (middle + 1.3 * size * toward, middle, up))
         cameras = viewer.space_view("Cameras", f"world/{place}")
-        images = [blueprint.Spatial2DView(
-            name=camera.name, origin=f"images/{place}/{camera.name}", background=viewer.BACKGROUND,
-            visual_bounds=_bounds(seen.detected[column])) for column, camera in enumerate(rig.cameras)]
+        images = []
+        for camera, detected in zip(rig.cameras, seen.detected, strict=True):
+            low, high = box(detected)  # limits of the view when opened: those of the thread
+            (left, top), (right, bottom) = low - MARGIN_PX, high + MARGIN_PX
+            images.append(blueprint.Spatial2DView(
+                name=camera.name, origin=f"images/{place}/{camera.name}", background=viewer.BACKGROUND,
+                visual_bounds=blueprint.VisualBounds2D(x_range=[left, right], y_range=[top, bottom])))
         words = blueprint.TextDocumentView(name="Verdict", origin=f"summary/{place}")
         tabs.append(blueprint.Horizontal(
             blueprint.Vertical(space, words, row_shares=[6, 1]), blueprint.Grid(*images, cameras), column_shares=[1, 1.2],
             name=seen.name))
     body = tabs[0] if len(tabs) == 1 else blueprint.Tabs(*tabs)
     return blueprint.Blueprint(body, *viewer.panels("edges"))
-
-
-def _bounds(detected: np.ndarray) -> blueprint.VisualBounds2D:
-    """Limits of an image view when opened: those of the thread."""
-    low, high = box(detected)
-    (left, top), (right, bottom) = low - MARGIN_PX, high + MARGIN_PX
-    return blueprint.VisualBounds2D(x_range=[left, right], y_range=[top, bottom])
 
 
 def record_track(path, *, run_id: str, name: str, rig: Rig, paths, vertices: np.ndarray, error: np.ndarray, how: np.ndarray,
