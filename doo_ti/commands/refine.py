@@ -3,7 +3,7 @@
 import json
 import os
 from argparse import Namespace
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -106,6 +106,7 @@ def run(options: Namespace) -> int:
     out, folds = options.out, options.folds
     tasks = [_task(options, source) for source in options.sources]
 
+    from doo_ti.learning.up_axes import other_up_of
     from doo_ti.refinement.folds import folds_of, refine_held_out
     from doo_ti.refinement.refine import refine
 
@@ -127,8 +128,9 @@ def run(options: Namespace) -> int:
                 begin = replace(found.theta, rest_curvature=None)
                 held_out = refine_held_out(task.observations, task.clamps, begin, split, chosen)
         summary = summary_of(task.observations, task.surroundings, found, held_out, task.density, task.loads is not None)
-        summaries.append(summary | {"other_up": _other_up(task, found.theta),
-                                    "of_run": task.landscape is not None})
+        weight = found.theta.weight if task.loads is None else 0.0  # what bodies that hang on rods do is not compared
+        other = other_up_of(task.observations, task.clamps, weight, found.theta.up, task.surroundings)
+        summaries.append(summary | {"other_up": other, "of_run": task.landscape is not None})
         written = [] if task.landscape is None else _kept(task.landscape, found, summaries[-1])
         if not options.json:
             first, *rest = summary_lines(summaries[-1])
@@ -145,17 +147,6 @@ def run(options: Namespace) -> int:
         print(f"written to {in_line(out)}")
     note_theta(options)
     return 0
-
-
-def _other_up(task: Task, theta) -> dict | None:
-    """An axis that fits far better than the direction ``up`` of the fit, as JSON holds it; None where the rods have no
-    weight, or bodies hang on them."""
-    from doo_ti.learning.up_axes import other_up
-
-    if theta.weight == 0 or task.loads is not None:
-        return None
-    found = other_up(task.observations, task.clamps, theta.up, task.surroundings)
-    return None if found is None else asdict(found)
 
 
 def _kept(landscape, found, summary: dict) -> list[Path]:
@@ -203,7 +194,14 @@ def _task(options: Namespace, source: str) -> Task:
     check_experiment(observations, clamps, max(theta.weight for theta in thetas), weight, exact)
     task = Task(observations, clamps, thetas, weight, around, density, landscape, loads,
                 "twist" not in [axis.name for axis in grid.axes])
-    _check_model(_refinement_options(options, task), task)
+    # Options that do not fit the observations or each other are refused before anything is relaxed.
+    from doo_ti.refinement.held_rod import HeldRod
+    from doo_ti.refinement.refine import FEWEST_EDGES, check, unknowns_of
+
+    chosen = _refinement_options(options, task)
+    check(task.observations, task.clamps, chosen)
+    unknowns = unknowns_of(HeldRod(task.observations, task.clamps, FEWEST_EDGES), chosen)
+    unknowns.begun(task.thetas[0], unknowns.clip_prior)
     return task
 
 
@@ -268,14 +266,3 @@ def _refinement_options(options: Namespace, task: Task):
         tuple(names), options.clip, curvature or "auto", options.stiffness, "exact" if exact else "loose",
         None if options.frames == "exact" else options.frames, task.frame_weight, edges=options.edges,
         models=not options.no_models, surroundings=task.surroundings, loads=task.loads, twist_follows=task.twist_follows)
-
-
-def _check_model(chosen, task: Task) -> None:
-    """Raise InputError for options that do not fit the observations or each other, before anything is relaxed."""
-    from doo_ti.refinement.held_rod import HeldRod
-    from doo_ti.refinement.refine import FEWEST_EDGES, check, unknowns_of
-
-    check(task.observations, task.clamps, chosen)
-    rod = HeldRod(task.observations, task.clamps, FEWEST_EDGES)
-    unknowns = unknowns_of(rod, chosen)
-    unknowns.begun(task.thetas[0], unknowns.clip_prior)

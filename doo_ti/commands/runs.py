@@ -10,7 +10,7 @@ from tempfile import TemporaryDirectory
 
 from doo_ti.commands import options as given
 from doo_ti.commands.results import plain, report, run_lines, save_json, theta_of, theta_text
-from doo_ti.learning.cross_validation import FACTORS, Scores, check_comparable, cross_validate, partition, usual_factors
+from doo_ti.learning.cross_validation import FACTORS, check_comparable, cross_validate, partition, usual_factors
 from doo_ti.learning.landscape import Landscape, read_landscape
 from doo_ti.learning.score_table import caption, comma_separated, entries, file_stem, markdown, text
 from doo_ti.system.errors import InputError, InterruptedRunError
@@ -70,9 +70,16 @@ def run_learn(options: Namespace) -> int:
         tables = {by: [cross_validate(one) for one in found] for by, found in partitions.items()}
     every = [scores for found in tables.values() for scores in found]
     summary = plain({"runs": [_best_of(landscape) for landscape in landscapes],
-                     "tables": [_as_dict(scores) for scores in every]})
+                     "tables": [{
+                         "caption": caption(scores), "by": scores.partition.by, "within": scores.partition.within,
+                         "unlabelled": scores.partition.unlabelled, "training_error_mm": dict(zip(
+                             (part.label for part in scores.partition.parts), scores.training, strict=True)),
+                         "entries": entries(scores)} for scores in every]})
     if out is not None:
-        _write(out, summary, tables)
+        save_json(out / "learn.json", summary)
+        for by, found in tables.items():
+            write_text(out / f"{file_stem(by)}.csv", comma_separated(found))
+            write_text(out / f"{file_stem(by)}.md", "\n".join(markdown(scores) for scores in found))
 
     def lines() -> list[str]:
         found = [line for landscape in landscapes for line in run_lines(landscape.as_dict())]
@@ -91,21 +98,6 @@ def _best_of(landscape: Landscape) -> dict:
     return {"run": str(landscape.run), **{name: result[name] for name in ("material", "objective", "jumps") if name in result},
             **result["best"], "intervals": result["intervals_within_5_percent"], "stable": status.pop("stable"),
             "status": status, **landscape.competition}
-
-
-def _as_dict(scores: Scores) -> dict:
-    parts = scores.partition
-    return {"caption": caption(scores), "by": parts.by, "within": parts.within, "unlabelled": parts.unlabelled,
-            "training_error_mm": dict(zip((part.label for part in parts.parts), scores.training, strict=True)),
-            "entries": entries(scores)}
-
-
-def _write(out: Path, summary: dict, tables: dict[tuple[str, ...], list[Scores]]) -> None:
-    """learn.json, and for each partition a CSV and a Markdown file."""
-    save_json(out / "learn.json", summary)
-    for by, found in tables.items():
-        write_text(out / f"{file_stem(by)}.csv", comma_separated(found))
-        write_text(out / f"{file_stem(by)}.md", "\n".join(markdown(scores) for scores in found))
 
 
 # --- figures -------------------------------------------------------------------------------------------------------------

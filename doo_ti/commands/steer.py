@@ -201,7 +201,11 @@ class Stiffness:
 def run_servo(options: Namespace) -> int:
     folder, rig, reached = options.out, image_options.rig(options), options.reached
     rod = steered_rod(options, [folder / name for name in (PATH, TABLE, PICTURE, RECORDING)])
-    unit = _unit(options, rod.material)
+    density, weight, unit = options.linear_density, rod.material.weight[0], Stiffness(("bend", "twist"), "mm3", 1.0)
+    if density is None:
+        given.refuse(options, ("true_EI", "true_GJ"), "given without --linear-density", "give both")
+    elif weight > 0:
+        unit = Stiffness(("EI", "GJ"), "Nm2", float(stiffness(relative_stiffness(1.0, weight), density)))
     bend = rod.material.bend[0, 0, 0, 0] if options.true_EI is None else options.true_EI / unit.factor
     twist = rod.material.twist[0, 0] if options.true_GJ is None else options.true_GJ / unit.factor
     true = Material(bend, twist, rod.material.weight, rod.material.rest_curvature)
@@ -230,15 +234,6 @@ def run_servo(options: Namespace) -> int:
              f"{summary['status']}")
     report(options, summary, lambda: _lines(rod, steps, summary))
     return 0
-
-
-def _unit(options: Namespace, material: Material) -> Stiffness:
-    density = options.linear_density
-    if density is None:
-        given.refuse(options, ("true_EI", "true_GJ"), "given without --linear-density", "give both")
-    if density is None or not material.weight[0] > 0:
-        return Stiffness(("bend", "twist"), "mm3", 1.0)
-    return Stiffness(("EI", "GJ"), "Nm2", float(stiffness(relative_stiffness(1.0, material.weight[0]), density)))
 
 
 def _cameras(options: Namespace, rig: Rig, rod: SteeredRod) -> "VirtualCameras":

@@ -89,7 +89,10 @@ def run_sweep(options: Namespace) -> int:
     if options.json:
         print(json.dumps(plain(summaries if len(options.sources) > 1 else summaries[0])))
     else:
-        print(_effort(relaxed, time.monotonic() - began))
+        rods, loads, relaxes = (sum(summary["timing"][name] for summary in relaxed)
+                                for name in ("relaxed_rods", "loading_s", "relaxation_s"))
+        work = f": {loads:.1f} s to load the kernels, {relaxes:.1f} s to relax ({rods / relaxes:,.0f} rods/s)" if rods else ""
+        print(f"{rods:,} rods in {time.monotonic() - began:.1f} s{work}")
     note_theta(options)
     return 0
 
@@ -185,11 +188,3 @@ def _lines(search: _Search, summary: dict, finished_before: bool) -> list[str]:
         more = " --parameters bend" if swivels else "" if search.grid.is_isotropic else RIBBON_PARAMETERS
         lines.append(f"  intervals   doo-ti refine {in_line(shlex.quote(str(search.run)))}{more}")
     return lines
-
-
-def _effort(summaries: list[dict], seconds: float) -> str:
-    """``450,000 rods in 15.1 s, 29,800 rods/s; …``, of the rods relaxed now; none where all was finished before."""
-    rods, loading, relaxing = (sum(summary["timing"][name] for summary in summaries)
-                               for name in ("relaxed_rods", "loading_s", "relaxation_s"))
-    work = f": {loading:.1f} s to load the kernels, {relaxing:.1f} s to relax ({rods / relaxing:,.0f} rods/s)" if rods else ""
-    return f"{rods:,} rods in {seconds:.1f} s{work}"

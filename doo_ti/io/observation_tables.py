@@ -99,11 +99,14 @@ def read_table(path: Path, content: bytes, renamed: dict[str, str] | None = None
     for key, (owner, value_shape, names) in KEYS_IN_TABLES.items():
         if given_columns(path, names, columns):
             values = np.stack([np.where(row < 0, np.nan, columns[name][row]) for name in names], axis=-1)
-            values = _of_owner(path, key, owner, values, labels)
+            if owner == "edge":
+                values = values[:, :-1]
+            elif owner == "observation":
+                values = _agreed(path, key, values, 1, labels)
             keys[key] = values.reshape((*values.shape[:-1], *value_shape))
     for key in _SHARED:
         if key in keys:
-            keys[key] = _agreed(path, key, keys[key], labels)
+            keys[key] = _agreed(path, key, keys[key], 0, labels)
     if "valid" in keys:
         unseen = np.isnan(keys["vertices_mm"]).any(axis=-1) & np.isnan(keys["valid"])
         keys["valid"] = np.where(unseen, 0.0, keys["valid"])
@@ -233,33 +236,18 @@ def _rows_of(path, observation: np.ndarray, vertex: np.ndarray) -> tuple[np.ndar
     return labels, row.reshape(len(labels), marks)
 
 
-def _of_owner(path, key: str, owner: str, values: np.ndarray, labels: np.ndarray) -> np.ndarray:
-    """(D, V, n) cells of the table to the values of the owners, each kept once."""
-    if owner == "vertex":
-        return values
-    if owner == "edge":
-        return values[:, :-1]
-    first, differs = _first_along(values, 1)
-    if len(differs):
-        d, v, _ = differs[0]
-        raise InputError(path, key, f"observation {labels[d]} has another value at vertex {v} than before",
-                         "repeat the observation's value, or leave the other rows empty")
-    return first[:, 0]
-
-
-def _first_along(values: np.ndarray, axis: int) -> tuple[np.ndarray, np.ndarray]:
-    """The first value along an axis that is not NaN, and where others differ from it."""
+def _agreed(path, key: str, values: np.ndarray, axis: int, labels: np.ndarray) -> np.ndarray:
+    """The value that all rows of an observation share, along axis 1, or all observations, along axis 0; NaN where none has one.
+    Raises InputError where they differ."""
     first = np.take_along_axis(values, np.expand_dims(np.argmin(np.isnan(values), axis=axis), axis), axis=axis)
-    return first, np.argwhere((values != first) & ~np.isnan(values))
-
-
-def _agreed(path, key: str, values: np.ndarray, labels: np.ndarray) -> np.ndarray:
-    """The value that all observations share; NaN where none has one."""
-    first, differs = _first_along(values, 0)
+    differs = np.argwhere((values != first) & ~np.isnan(values))
+    if len(differs) and axis == 1:
+        raise InputError(path, key, f"observation {labels[differs[0][0]]} has another value at vertex {differs[0][1]} than "
+                         "before", "repeat the observation's value, or leave the other rows empty")
     if len(differs):
         raise InputError(path, key, f"observation {labels[differs[0][0]]} has another value than those before",
                          "give the same value in all observations of a file")
-    return first[0]
+    return first.take(0, axis=axis)
 
 
 POSITIONS = ("vertices_mm", "positions_mm")

@@ -16,7 +16,7 @@ import platform
 import time
 from contextlib import suppress
 from dataclasses import fields, replace
-from importlib.metadata import PackageNotFoundError, version
+from importlib.metadata import distributions
 from pathlib import Path
 
 import numpy as np
@@ -141,23 +141,16 @@ def _inputs(experiment: Experiment) -> dict:
     }
 
 
-def _version(package: str) -> str | None:
-    """None of a package that is not installed, as rerun-sdk need not be."""
-    try:
-        return version(package)
-    except PackageNotFoundError:
-        return None
-
-
 def provenance(experiment: Experiment, identity: str, command) -> dict:
     """All that is needed to compute the same numbers again, as JSON holds it."""
-    packages = ("taichi", "numpy", "rerun-sdk", "pyarrow")
+    packages = {name: next((found.version for found in distributions(name=name)), None)  # rerun-sdk need not be installed
+                for name in ("taichi", "numpy", "rerun-sdk", "pyarrow")}
     return {
         "command": list(command),
         **_inputs(experiment),
         "sweep_sha256": identity,
         "maker": maker(),
-        "versions": {"doo_ti": __version__, "python": platform.python_version(), **{name: _version(name) for name in packages}},
+        "versions": {"doo_ti": __version__, "python": platform.python_version(), **packages},
         "machine": f"{platform.system()} {platform.machine()}, {os.cpu_count()} processors",
         "finished": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()),
     }

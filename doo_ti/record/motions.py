@@ -114,22 +114,17 @@ def record_ribbons(path, *, run_id: str, name: str, ribbons: list[Ribbons], obse
                 triangles = [np.stack([low, low + 1, high], -1), np.stack([high, low + 1, high + 1], -1)]
                 stream.log(place, rerun.Mesh3D.from_fields(
                     triangle_indices=np.concatenate(triangles).astype(np.uint32)), static=True)
+                normal = np.cross(np.gradient(sides.mean(axis=1), axis=1), sides[:, 1] - sides[:, 0])
+                normal /= np.maximum(np.linalg.norm(normal, axis=-1, keepdims=True), 1e-9)
                 stream.send_columns(place, times, rerun.Mesh3D.columns(
-                    vertex_positions=sides.reshape(-1, 3), vertex_normals=_normals(sides).reshape(-1, 3),
+                    vertex_positions=sides.reshape(-1, 3),
+                    vertex_normals=np.stack([normal, normal], axis=1).astype(np.float32).reshape(-1, 3),
                     vertex_colors=np.tile(np.uint8(kind.color), (sides[..., 0].size, 1))).partition([2 * marks] * count))
             stream.log(f"{place}/borders", rerun.LineStrips3D.from_fields(
                 colors=[np.uint8(kind.color) // (2 if kind.filled else 1)], radii=rerun.Radius.ui_points(0.9),
                 labels=[kind.label] * 2, show_labels=False), static=True)
             viewer.send_rods(stream, f"{place}/borders", times, kind.sides)
         stream.send_columns("summary", times, rerun.TextDocument.columns(text=texts, media_type=["text/markdown"] * count))
-
-
-def _normals(sides: np.ndarray) -> np.ndarray:
-    """(D, 2, V, 3) unit normals of each band's face."""
-    along = np.gradient(sides.mean(axis=1), axis=1)
-    normal = np.cross(along, sides[:, 1] - sides[:, 0])
-    normal /= np.maximum(np.linalg.norm(normal, axis=-1, keepdims=True), 1e-9)
-    return np.stack([normal, normal], axis=1).astype(np.float32)
 
 
 def _ribbon_layout(ribbons: list[Ribbons], basis: np.ndarray) -> blueprint.Blueprint:

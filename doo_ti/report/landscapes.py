@@ -107,12 +107,18 @@ def draw_landscape(plane: LandscapePlane, title: str, region: np.ndarray | None 
 
 def draw_panels(rows: list[list[LandscapePanel]], title: str, marks: str, relative: bool, dpi: int = canvas.PICTURE_DPI):
     """The figure of several landscapes, and its (axes, panel) in reading order."""
+    from matplotlib.colors import LogNorm
+
     panels, columns = [panel for row in rows for panel in row], max(len(row) for row in rows)
     size, width, height = (0.9, 5.4, 4.4) if columns <= 3 else (0.75, 3.2, 3.0)
     figure = canvas.new_figure((max(width * columns, 8.0), height * len(rows) + 1.0), dpi)
     grid = figure.subplots(len(rows), columns, squeeze=False)
     relative = relative and all(len(panel.plane.axes) == 2 for panel in panels)
-    norm = _common_norm([panel.plane for panel in panels]) if relative else None
+    norm = None
+    if relative:  # one colour scale, in multiples of their minima, up to the largest of the flattest one
+        multiples = [_multiples(panel.plane) for panel in panels if panel.plane.minimum is not None]
+        largest = [np.max(values, where=np.isfinite(values), initial=1.0) for values in multiples]
+        norm = LogNorm(1.0, max(min(largest, default=2.0), 2.0))
     drawn, meshes = [], []
     for place, axes in np.ndenumerate(grid):
         if place[1] >= len(rows[place[0]]):
@@ -165,15 +171,6 @@ def _multiples(plane: LandscapePlane) -> np.ndarray:
     """The values over the smallest one, in mm where that is zero."""
     least = plane.values[plane.minimum] if plane.minimum is not None else 0.0
     return plane.values / (least if least > 0 else 1.0)
-
-
-def _common_norm(planes: list[LandscapePlane]):
-    """One colour scale for several landscapes, in multiples of their minima, up to the largest of the flattest one."""
-    from matplotlib.colors import LogNorm
-
-    multiples = [_multiples(plane) for plane in planes if plane.minimum is not None]
-    largest = [np.max(values, where=np.isfinite(values), initial=1.0) for values in multiples]
-    return LogNorm(1.0, max(min(largest, default=2.0), 2.0))
 
 
 def _color_bar(figure, mesh, axes, label: str = canvas.MEAN_DISTANCE, size: float = 1.0, extend: str = "neither") -> None:
