@@ -63,10 +63,17 @@ def run(options: Namespace) -> int:
         raise InputError(given.SOURCE, "--steps-between", f"{count} rods at {intervals + 1} moments are too many to hold",
                          "give fewer materials, observations or moments")
 
+    from doo_ti.motion.predict import predict, predict_moving
+
     with progress() as bar:
         shown = bar.add_task(rods.name, total=count * intervals, unit="rods x moments")
-        prediction = _predicted(rods, stepping, sub_step, options.precision, between=between, up=rods.up,
-                                advance=lambda done: bar.advance(shown, done), **rods.surroundings.arguments)
+        moved = rods.start, rods.material, rods.clamps, rods.path
+        chosen = {"between": between, "up": rods.up, "advance": lambda done: bar.advance(shown, done),
+                  **rods.surroundings.arguments}
+        if stepping is None:
+            prediction = predict(*moved, sub_step=sub_step, precision=options.precision, **chosen)
+        else:
+            prediction = predict_moving(*moved, Dynamics(density=1.0), stepping, **chosen)
     if rods.observations is not None:
         warn_of_start(rods, prediction.at(0))
     result = _arrays(rods, prediction)
@@ -78,16 +85,6 @@ def run(options: Namespace) -> int:
     loaded = [] if rods.observations is None else [loading.rod_line(rods.observations)]
     results.report(options, summary, lambda: [*lines, *loaded, f"  written to {in_line(out)}"])
     return 0 if prediction.followed[-1].any() else 1
-
-
-def _predicted(rods: HeldRods, stepping, sub_step: float, precision: str, **inputs):
-    if stepping is not None:
-        from doo_ti.motion.predict import predict_moving
-
-        return predict_moving(rods.start, rods.material, rods.clamps, rods.path, Dynamics(density=1.0), stepping, **inputs)
-    from doo_ti.motion.predict import predict
-
-    return predict(rods.start, rods.material, rods.clamps, rods.path, sub_step=sub_step, precision=precision, **inputs)
 
 
 def _stepping(rods: HeldRods, between: int, sub_step: float):
@@ -146,6 +143,12 @@ def _lines(rods: HeldRods, stepping, prediction, result: dict, summary: dict) ->
     """The result as lines of text."""
     count, moments, falls = summary["rods"], summary["moments"], summary["falls"]
     lost = np.flatnonzero(~prediction.followed[-1])
+    # What of rods that fail where their motion begins is inside an obstacle.
+    failed = np.flatnonzero(prediction.status[0] != Status.CONVERGED)
+    motion = prediction.motion[failed]
+    start = rods.start.take(motion if rods.start.count == rods.clamps.count else failed)
+    inside = results.inside_reason(rods.surroundings.at(0).take(motion), rods.path.at(0, rods.clamps).take(motion), start,
+                                   failed)
     how = f"{summary['stable']} of {count * moments} certified stable"
     if stepping is not None:
         how = f"{stepping.substeps} quasi-static steps between states"
@@ -156,7 +159,7 @@ def _lines(rods: HeldRods, stepping, prediction, result: dict, summary: dict) ->
         f"{rods.name}: {counted(count, 'rod')} of {summary['edges']} edges at {moments} moments",
         *results.rows(
             ("status", f"{results.status_text(summary['status'])}; {how}"), results.contact_row(summary, count),
-            ("infeasible", _inside(rods, prediction)), *results.force_rows(result, 1),
+            ("infeasible", inside), *results.force_rows(result, 1),
             ("far clamp", f"at the end turned about the rod by {_range(summary['end_rotation_deg'])}, total twist "
                           f"{_range(summary['total_twist_deg'])}"),
             ("jumps", stepping is None and f"{int(prediction.jumps.sum())}, {where}")),
@@ -167,14 +170,6 @@ def _lines(rods: HeldRods, stepping, prediction, result: dict, summary: dict) ->
         *results.shortened([
             f"    {rods.names[rod]}: no prediction from {prediction.time[int(np.argmin(prediction.followed[:, rod]))]:g} s on"
             for rod in lost], MOST_LISTED, "    and {} more")]
-
-
-def _inside(rods: HeldRods, prediction) -> str | None:
-    """What of rods that fail where their motion begins is inside an obstacle."""
-    failed = np.flatnonzero(prediction.status[0] != Status.CONVERGED)
-    motion = prediction.motion[failed]
-    start = rods.start.take(motion if rods.start.count == rods.clamps.count else failed)
-    return results.inside_reason(rods.surroundings.at(0).take(motion), rods.path.at(0, rods.clamps).take(motion), start, failed)
 
 
 def _range(degrees: np.ndarray) -> str:

@@ -65,17 +65,15 @@ def read_keys(path: Path, columns=None) -> tuple[bytes, dict[str, np.ndarray]]:
     if path.suffix == ".npz":
         if columns is not None:
             raise InputError(path, "columns", "an npz has keys", "leave `columns` out")
-        keys = _labelled(read_npz(path, content, (*KEYS_IN_TABLES, LABELS, *NAMES)))
+        keys = read_npz(path, content, (*KEYS_IN_TABLES, LABELS, *NAMES))
+        lists = [keys.pop(key) for key in NAMES if key in keys]
+        names = next((one for one in lists if one.dtype.kind == "U" and one.ndim == 1), None)
+        if names is not None:  # what messages call the observations
+            keys.setdefault(LABELS, names)
     else:
         keys = read_table(path, content, _renamed(path, columns))
     put_frames(path, keys, "frame")  # of grippers whose x axis points along the rod
     return content, keys
-
-
-def _labelled(keys: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """``keys`` of an npz, in which a list of names in NAMES is what messages call its observations."""
-    lists = [names for names in (keys.pop(key) for key in NAMES if key in keys) if names.dtype.kind == "U" and names.ndim == 1]
-    return {LABELS: lists[0]} | keys if lists else keys
 
 
 def read_curves(path: Path, columns=None) -> Curves | None:
@@ -145,7 +143,11 @@ def load_observations(path: str | os.PathLike[str], up: ArrayLike | None = None,
         values = _without_lost(values)
     observations = Observations(**values, name=in_line(path.stem), source=str(path), sha256=hashlib.sha256(content).hexdigest())
     if observations.total_twist is not None:
-        _check_turns(observations)
+        most, degrees = 180.0 * (observations.edges - 1), np.degrees(observations.total_twist)  # half a turn at each joint
+        bad = np.flatnonzero(np.abs(degrees) > most * (1.0 + 1e-12))
+        if len(bad):
+            hint = f"{degrees[bad[0]]:g} of observation {observations.labels[bad[0]]}"
+            raise InputError(path, "total_twist_deg", hint, f"give degrees; {observations.edges} edges hold at most {most:g}")
     return observations if up is None else replace(observations, up=np.asarray(up))
 
 
@@ -163,17 +165,6 @@ def _without_lost(values: dict) -> dict:
         return values
     values = {"labels": np.arange(count)} | values
     return {name: value if name in whole or not value.ndim else value[enough] for name, value in values.items()}
-
-
-def _check_turns(observations: Observations) -> None:
-    """Raise InputError for a total twist above half a turn at each joint."""
-    most = 180.0 * (observations.edges - 1)
-    degrees = np.degrees(observations.total_twist)
-    bad = np.flatnonzero(np.abs(degrees) > most * (1.0 + 1e-12))
-    if len(bad):
-        hint = f"{degrees[bad[0]]:g} of observation {observations.labels[bad[0]]}"
-        raise InputError(observations.source, "total_twist_deg", hint,
-                         f"give degrees; {observations.edges} edges hold at most {most:g}")
 
 
 @typed

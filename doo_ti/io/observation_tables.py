@@ -79,8 +79,11 @@ def read_table(path: Path, content: bytes, renamed: dict[str, str] | None = None
     count = len(columns[_POSITION[0]])
     columns.setdefault("observation", np.zeros(count))
     in_order = "vertex" not in columns
-    if in_order:
-        columns["vertex"] = _counted(columns["observation"])
+    if in_order:  # how many rows before have the same label
+        order = np.argsort(columns["observation"], kind="stable")
+        firsts = np.searchsorted(columns["observation"][order], columns["observation"][order])
+        columns["vertex"] = np.empty(count)
+        columns["vertex"][order] = np.arange(count) - firsts
     rows = {}
     for name in ("observation", "vertex"):
         rows[name] = values = columns[name]
@@ -124,15 +127,6 @@ def write_table(file: BinaryIO, suffix: str, keys: dict[str, np.ndarray]) -> Non
         labels = np.arange(count)
     columns, _ = _of_vertices({key: keys[key] for key in KEYS_IN_TABLES if key in keys}, ("observation",))
     write_columns(file, columns | {"observation": np.repeat(labels, marks)}, suffix)
-
-
-def _counted(labels: np.ndarray) -> np.ndarray:
-    """(N,) how many rows before this one have its label."""
-    order = np.argsort(labels, kind="stable")
-    firsts = np.searchsorted(labels[order], labels[order])
-    count = np.empty(len(labels))
-    count[order] = np.arange(len(labels)) - firsts
-    return count
 
 
 def _named(path: Path, names, renamed: dict[str, str]) -> dict[str, tuple[str, float]]:

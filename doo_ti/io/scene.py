@@ -215,7 +215,14 @@ def load_scene(path: str | os.PathLike[str]) -> Scene:
     if file.pairs and file.objective != "dynamic":
         raise InputError(path, "pairs", "given, but the objective is static", 'give objective = "dynamic" too')
     if file.synthesis is not None:
-        observations = _synthesis(path, name, file.synthesis)
+        known = [field.name for field in fields(Synthesis) if field.name not in ("name", "source")]
+        for key in file.synthesis:
+            if key not in known:
+                raise unknown_key(path, f"synthesis.{key}", known)
+        for key in ("bend", "twist"):
+            if key not in file.synthesis:
+                raise InputError(path, f"synthesis.{key}", "missing", f"give the rod's {key} in mm³")
+        observations = Synthesis(**file.synthesis, name=name, source=str(path))
     else:
         observations = path.parent / checked(path, "observations", file.observations, _ObservationsTable).file
     for axis in file.grid:
@@ -228,17 +235,6 @@ def load_scene(path: str | os.PathLike[str]) -> Scene:
         clamp_start=_clamp(file.clamp_start), clamp_end=_clamp(file.clamp_end), objective=file.objective,
         pairs=path.parent / file.pairs if file.pairs else None, roll_hypotheses=file.roll_hypotheses or file.spins,
         precision=file.precision, source=str(path), sha256=hashlib.sha256(content).hexdigest())
-
-
-def _synthesis(path: Path, name: str, table: dict) -> Synthesis:
-    known = [field.name for field in fields(Synthesis) if field.name not in ("name", "source")]
-    for key in table:
-        if key not in known:
-            raise unknown_key(path, f"synthesis.{key}", known)
-    for key in ("bend", "twist"):
-        if key not in table:
-            raise InputError(path, f"synthesis.{key}", "missing", f"give the rod's {key} in mm³")
-    return Synthesis(**table, name=name, source=str(path))
 
 
 def _clamp(name: str | None) -> Clamp | None:
