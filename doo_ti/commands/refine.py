@@ -5,6 +5,7 @@ import os
 from argparse import Namespace
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -12,7 +13,6 @@ from doo_ti.commands import doubts, loading
 from doo_ti.commands import options as given
 from doo_ti.commands.refine_text import summary_lines, summary_of
 from doo_ti.commands.results import note_theta, plain, save_json
-from doo_ti.contact.surroundings import Surroundings
 from doo_ti.io.arrays import read_npz
 from doo_ti.learning.chunks import DENSITY, read_summary
 from doo_ti.learning.landscape import Landscape, plane_of, read_landscape
@@ -24,6 +24,9 @@ from doo_ti.rod.types import Clamps
 from doo_ti.system.errors import InputError
 from doo_ti.system.files import read_content
 from doo_ti.system.terminal import busy, in_line
+
+if TYPE_CHECKING:
+    from doo_ti.refinement.refine import RefinementOptions
 
 REFINED = "refined.json"  # in the folder of a run, with its picture beside it
 STARTS = 3
@@ -87,18 +90,15 @@ def _frames(option: str, text: str) -> str | tuple[float, float]:
 
 @dataclass(frozen=True)
 class Task:
-    """One source: its observations, their clamps, the Θ to start from, what the rods touch, the linear density in g/m, the
-    landscape of a run, or None, the weights that hang at the marks, or None, and whether twist was stated relative to bend."""
+    """One source: its observations, their clamps, the Θ to start from, the linear density in g/m, the landscape of a run, or
+    None, and what is to be learned, with what the rods touch and the weights that hang at the marks, or None."""
 
     observations: Observations
     clamps: Clamps
     thetas: tuple
-    frame_weight: float
-    surroundings: Surroundings
     density: float | None
     landscape: Landscape | None
-    loads: np.ndarray | None
-    twist_follows: bool
+    chosen: "RefinementOptions"
 
 
 def run(options: Namespace) -> int:
@@ -116,20 +116,20 @@ def run(options: Namespace) -> int:
     splits = [None if folds is None else folds_of(np.arange(task.observations.count), folds) for task in tasks]
     summaries = []
     for task, split in zip(tasks, splits, strict=True):
-        chosen = _refinement_options(options, task)
+        around, loads = task.chosen.surroundings, task.chosen.loads
         with busy(f"refining {task.observations.name} (kernels are compiled once on a machine)"):
-            found = refine(task.observations, task.clamps, task.thetas, chosen)
+            found = refine(task.observations, task.clamps, task.thetas, task.chosen)
         mesh = np.full(found.mesh_edges, task.observations.rest_length.sum() / found.mesh_edges)
-        doubts.say(task.observations.source, doubts.mesh_doubt(mesh, task.surroundings),
+        doubts.say(task.observations.source, doubts.mesh_doubt(mesh, around),
                    doubts.repeats_doubt(task.observations, found.adequacy.noise))
         held_out = None
         if split is not None:
             with busy(f"cross-validating {task.observations.name} in {folds} folds"):
                 begin = replace(found.theta, rest_curvature=None)
-                held_out = refine_held_out(task.observations, task.clamps, begin, split, chosen)
-        summary = summary_of(task.observations, task.surroundings, found, held_out, task.density, task.loads is not None)
-        weight = found.theta.weight if task.loads is None else 0.0  # what bodies that hang on rods do is not compared
-        other = other_up_of(task.observations, task.clamps, weight, found.theta.up, task.surroundings)
+                held_out = refine_held_out(task.observations, task.clamps, begin, split, task.chosen)
+        summary = summary_of(task.observations, around, found, held_out, task.density, loads is not None)
+        weight = found.theta.weight if loads is None else 0.0  # what bodies that hang on rods do is not compared
+        other = other_up_of(task.observations, task.clamps, weight, found.theta.up, around)
         summaries.append(summary | {"other_up": other, "of_run": task.landscape is not None})
         written = [] if task.landscape is None else _kept(task.landscape, found, summaries[-1])
         if not options.json:
@@ -192,17 +192,16 @@ def _task(options: Namespace, source: str) -> Task:
     loads = None if loads is None else loads[np.isin(every, observations.labels)]
     clamps = observation_clamps(observations, *kinds)
     check_experiment(observations, clamps, max(theta.weight for theta in thetas), weight, exact)
-    task = Task(observations, clamps, thetas, weight, around, density, landscape, loads,
-                "twist" not in [axis.name for axis in grid.axes])
     # Options that do not fit the observations or each other are refused before anything is relaxed.
     from doo_ti.refinement.held_rod import HeldRod
     from doo_ti.refinement.refine import FEWEST_EDGES, check, unknowns_of
 
-    chosen = _refinement_options(options, task)
-    check(task.observations, task.clamps, chosen)
-    unknowns = unknowns_of(HeldRod(task.observations, task.clamps, FEWEST_EDGES), chosen)
-    unknowns.begun(task.thetas[0], unknowns.clip_prior)
-    return task
+    chosen = _refinement_options(options, frame_weight=weight, surroundings=around, loads=loads,
+                                 twist_follows="twist" not in [axis.name for axis in grid.axes])
+    check(observations, clamps, chosen)
+    unknowns = unknowns_of(HeldRod(observations, clamps, FEWEST_EDGES), chosen)
+    unknowns.begun(thetas[0], unknowns.clip_prior)
+    return Task(observations, clamps, thetas, density, landscape, chosen)
 
 
 def _loads(text: str, observations: Observations, density: float | None) -> np.ndarray:
@@ -252,7 +251,8 @@ def _of_run(options: Namespace, run: Path):
             own.frame_weight if options.frame_weight is None else options.frame_weight, own.surroundings, landscape)
 
 
-def _refinement_options(options: Namespace, task: Task):
+def _refinement_options(options: Namespace, **of_source) -> "RefinementOptions":
+    """What the options say, and the fields that are ``of_source``."""
     from doo_ti.refinement.refine import RefinementOptions
 
     names = [name.strip().replace("-", "_") for name in options.parameters.split(",") if name.strip()]
@@ -264,5 +264,4 @@ def _refinement_options(options: Namespace, task: Task):
     exact = "exact" in (options.clamps, options.frames)
     return RefinementOptions(
         tuple(names), options.clip, curvature or "auto", options.stiffness, "exact" if exact else "loose",
-        None if options.frames == "exact" else options.frames, task.frame_weight, edges=options.edges,
-        models=not options.no_models, surroundings=task.surroundings, loads=task.loads, twist_follows=task.twist_follows)
+        None if options.frames == "exact" else options.frames, edges=options.edges, models=not options.no_models, **of_source)

@@ -28,9 +28,6 @@ def refuse_overwriting(out: Path, *sources: str | None, option: str = "--out") -
             raise InputError(given.SOURCE, option, f"{out} is the input itself", "name another file")
 
 
-RODS = (".npz", ".csv")  # suffixes of files of results
-
-
 def save_arrays(out: Path, arrays: dict[str, np.ndarray], axes: tuple[str, ...] = ("observation",)) -> None:
     """Write an npz, or by its suffix a CSV file with a row per vertex (:mod:`doo_ti.io.observation_tables`), whole or not;
     arrays that have no place in the table are named on standard error.

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 from doo_ti.commands import doubts, loading
 from doo_ti.commands import options as given
-from doo_ti.commands.results import hypotheses_lines, note_theta, plain, run_lines, theta_text
+from doo_ti.commands.results import hypotheses_lines, note_theta, plain, rows, run_lines, theta_text
 from doo_ti.io.scene import MOST_ROLLS, OBJECTIVES, Scene, Synthesis, load_scene
 from doo_ti.io.toml_file import scene_file
 from doo_ti.learning.chunks import SUMMARY
@@ -155,27 +155,24 @@ def _search(options: Namespace, source: str, run: Path) -> _Search:
 
 
 def _lines(search: _Search, summary: dict, finished_before: bool) -> list[str]:
-    (first, *rest), best = run_lines(summary), summary["best"]
-    lines = [first, loading.rod_line(search.observations), *rest, *hypotheses_lines(summary, search.observations.labels)]
-    if doubt := loading.up_text(summary.get("other_up")):
-        lines.insert(2, f"  WARNING     {doubt}")
+    (first, *rest), best, grid, spins = run_lines(summary), summary["best"], search.grid, search.options.spins
     clamps = observation_clamps(search.observations, search.options.clamp_start, search.options.clamp_end)
-    rolls = search.grid.is_isotropic and Clamp.FRAME > min(clamps.start, clamps.end) and not search.options.spins
-    if search.density is not None and best["weight"] > 0:
-        names = {"EI": "bend_1"} if search.grid.is_isotropic else {"EI_1": "bend_1", "EI_2": "bend_2"}
-        values = {symbol: stiffness(relative_stiffness(best[name], best["weight"]), search.density)
-                  for symbol, name in (names | ({} if rolls else {"GJ": "twist"})).items()}
-        lines.append(f"  stiffness   {', '.join(f'{symbol} {value:.4g} N m²' for symbol, value in values.items())} in the best "
-                     "cell")
-    if search.options.spins:
-        lines.append(f"  note        rolls are tried in steps of {360 / search.options.spins:.3g}°: coarse steps narrow the "
-                     "range of the twist ratio, fine ones leave it open")
-    if rolls:
-        lines.append("  note        an end rolls freely, so nothing twists the rod: twist is not determined")
-    varied = {axis.name for axis in search.grid.axes if len(axis) > 1}
-    if "weight" in varied and len(varied) > 1 and not any(axis.name == "twist" and len(axis) == 1 for axis in search.grid.axes):
-        lines.append("  note        only ratios matter: shapes stay the same when stiffness and weight grow together, so the "
-                     "data do not determine both")
+    rolls = grid.is_isotropic and Clamp.FRAME > min(clamps.start, clamps.end) and not spins
+    names = {"EI": "bend_1"} if grid.is_isotropic else {"EI_1": "bend_1", "EI_2": "bend_2"}
+    physical = search.density is not None and best["weight"] > 0 and ", ".join(
+        f"{symbol} {stiffness(relative_stiffness(best[name], best['weight']), search.density):.4g} N m²"
+        for symbol, name in (names | ({} if rolls else {"GJ": "twist"})).items())
+    varied = {axis.name for axis in grid.axes if len(axis) > 1}
+    ratios = "weight" in varied and len(varied) > 1 and not any(axis.name == "twist" and len(axis) == 1 for axis in grid.axes)
+    lines = [
+        first, loading.rod_line(search.observations), *rows(("WARNING", loading.up_text(summary.get("other_up")))), *rest,
+        *hypotheses_lines(summary, search.observations.labels), *rows(
+            ("stiffness", physical and f"{physical} in the best cell"),
+            ("note", spins and f"rolls are tried in steps of {360 / spins:.3g}°: coarse steps narrow the range of the twist "
+                               "ratio, fine ones leave it open"),
+            ("note", rolls and "an end rolls freely, so nothing twists the rod: twist is not determined"),
+            ("note", ratios and "only ratios matter: shapes stay the same when stiffness and weight grow together, so the data "
+                                "do not determine both"))]
     if isinstance(search.scene.observations, Synthesis):
         recipe, material = search.scene.observations, search.scene.observations.material()
         (first_bend, mixed), (_, second) = material.bend[0, 0]

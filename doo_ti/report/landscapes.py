@@ -16,10 +16,9 @@ from doo_ti.report.plane import (
     draw_line,
     draw_map,
     draw_marks,
-    draw_region,
-    draw_star,
     edged,
     label_minimum,
+    place_of,
 )
 
 
@@ -87,12 +86,16 @@ def _cell_boxes(axes, plane: LandscapePlane, cells: tuple[np.ndarray, np.ndarray
 
 def draw_landscape(plane: LandscapePlane, title: str, region: np.ndarray | None = None, newton_per_bend: float | None = None):
     """The figure of one landscape, its legend below; other arguments as :func:`landscape_picture` has them."""
+    from matplotlib.patches import Polygon
+
     figure = canvas.new_figure()
     axes = figure.add_subplot()
     _draw(figure, axes, plane, None, 1.0)
     region = region if len(plane.axes) == 2 else None
     if region is not None:
-        draw_region(axes, region)
+        # Closed, whether its last point is its first or not.
+        axes.add_patch(Polygon(region, closed=True, fill=False, edgecolor=REGION, linewidth=2.2, linestyle="--", zorder=4,
+                               path_effects=edged()))
     if plane.minimum is not None:
         label_minimum(axes, plane)
     if newton_per_bend is not None and plane.axes[0][0] in ("bend", "bend_1"):
@@ -163,7 +166,8 @@ def _draw(figure, axes, plane: LandscapePlane, norm, size: float):
     else:
         mesh = draw_map(axes, replace(plane, values=_multiples(plane)), norm, size)
     if plane.minimum is not None:
-        draw_star(axes, plane, size)
+        axes.plot(*place_of(plane, plane.minimum), "*", markersize=17 * size, color=STAR, markeredgecolor="white",
+                  markeredgewidth=1.2 * size, zorder=5)
     return mesh
 
 

@@ -9,6 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
+from doo_ti.contact.obstacles import Obstacle
+from doo_ti.contact.surroundings import Moving
 from doo_ti.report.canvas import (
     deviations,
     direction,
@@ -20,7 +22,7 @@ from doo_ti.report.canvas import (
     save_figure,
     upright_basis,
 )
-from doo_ti.report.contact import Touched
+from doo_ti.report.contact import FAINT, Touched
 from doo_ti.system.files import write_whole
 
 MOST_RODS = 6  # in a picture, those of the largest, the median and the smallest errors
@@ -89,7 +91,7 @@ def save_rollout(path: Path, name: str, names: list[str], positions: np.ndarray,
             plot.update_datalim(touched.tips([row], frames[-1]) @ axes.T)
             plot.autoscale_view()
             for frame in frames[:-1]:
-                touched.draw_moving(plot, row, axes, frame, faint=True)
+                touched.draw_obstacles(plot, row, axes, frame, Moving, FAINT)
             touched.draw(plot, row, axes, frames[-1])
         title = names[row]
         if recorded is not None:
@@ -168,7 +170,7 @@ def save_animation(path: Path, name: str, names: list[str], positions: np.ndarra
         plot.set(xlim=limits[0], ylim=limits[1], aspect="equal", xticks=[], yticks=[])
         plot.set_title(literal(names[rows[k]]), fontsize=9)
         if touched is not None:
-            touched.draw_still(plot, rows[k], axes)
+            touched.draw_obstacles(plot, rows[k], axes, 0, Obstacle)
         if seen is not None:
             marks.append(plot.plot([], [], color=RECORDED, lw=4)[0])
         curves.append(plot.plot([], [], color=PREDICTED, lw=1.8)[0])
@@ -180,7 +182,8 @@ def save_animation(path: Path, name: str, names: list[str], positions: np.ndarra
             drawn.remove()
         momentary = [] if touched is None else [
             drawn for plot, row in zip(figure.axes, rows, strict=True)
-            for drawn in (*touched.draw_moving(plot, row, axes, frame), *touched.draw_forces(plot, row, axes, frame))]
+            for drawn in (*touched.draw_obstacles(plot, row, axes, frame, Moving),
+                          *touched.draw_forces(plot, row, axes, frame))]
         for k, curve in enumerate(curves):
             curve.set_data(*flat[k, frame].T)
             if seen is not None:

@@ -252,12 +252,6 @@ def place_of(plane: LandscapePlane, cell: tuple[int, int]) -> tuple[float, float
     return first[1][cell[0]], second[0][1][cell[1]] if second else plane.values[cell]
 
 
-def draw_star(axes, plane: LandscapePlane, size: float = 1.0) -> None:
-    """Draw the star at the minimum."""
-    axes.plot(*place_of(plane, plane.minimum), "*", markersize=17 * size, color=STAR, markeredgecolor="white",
-              markeredgewidth=1.2 * size, zorder=5)
-
-
 def draw_marks(axes, plane: LandscapePlane, marks, size: float = 1.0) -> None:
     """Circles on further cells, (text, cell) each; texts are in a column on the side with more room, a line leads to each."""
     from matplotlib.patheffects import Normal, Stroke
@@ -288,14 +282,6 @@ def label_minimum(axes, plane: LandscapePlane) -> None:
         va=("top", "center", "bottom")[y + 1], zorder=6,
         bbox={"boxstyle": "round,pad=0.3", "facecolor": "white", "edgecolor": STAR, "alpha": 0.92},
         arrowprops={"arrowstyle": "-", "color": STAR, "linewidth": 1.6, "shrinkB": 8})
-
-
-def draw_region(axes, region) -> None:
-    """The outline (n, 2) of a region, in the axes' units; closed, whether its last point is its first or not."""
-    from matplotlib.patches import Polygon
-
-    axes.add_patch(Polygon(region, closed=True, fill=False, edgecolor=REGION, linewidth=2.2, linestyle="--", zorder=4,
-                           path_effects=edged()))
 
 
 def edged() -> list:
