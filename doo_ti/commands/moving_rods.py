@@ -108,7 +108,11 @@ def held_rods(options: Namespace, out: Path, kinds: tuple[Clamp | None, Clamp | 
     observations = loading.load(options, options.source)
     refuse_overwriting(out, options.source, options.motion)
     path = _path(options, observations.up)
-    observations = _with_frames(observations, path, options.relative)
+    if not (path.tangents_only or options.relative):  # rods are held by the frames of the path's first moment, without own ones
+        frames = {name: np.broadcast_to(value[0], (observations.count, 3, 3)) for name, value in
+                  (("start_frame", path.start_frame), ("end_frame", path.end_frame))
+                  if value is not None and getattr(observations, name) is None and value.shape[1] in (1, observations.count)}
+        observations = replace(observations, **frames)
     if path.count not in (1, observations.count) and observations.count > 1:
         raise InputError(options.motion, "positions_mm", f"{path.count} motions for {observations.count} observations",
                          "give one motion, or one for each observation")
@@ -198,17 +202,6 @@ def _path(options: Namespace, up: np.ndarray) -> ClampPath:
     if options.motion_up is not None:
         turn = matrix_from_quaternion(smallest_rotation(options.motion_up, up))
     return load_path(Path(options.motion), options.motion_unit or options.unit, named, tuple(axes), turn)
-
-
-def _with_frames(observations: Observations, path: ClampPath, relative: bool) -> Observations:
-    """The observations with the frames of the path's first moment, where they have none of their own and the path has:
-    the rods are held by them."""
-    if path.tangents_only or relative:
-        return observations
-    frames = {name: np.broadcast_to(value[0], (observations.count, 3, 3)) for name, value in
-              (("start_frame", path.start_frame), ("end_frame", path.end_frame))
-              if value is not None and getattr(observations, name) is None and value.shape[1] in (1, observations.count)}
-    return replace(observations, **frames)
 
 
 def settled(observations: Observations, clamps: Clamps, materials: Material, surroundings: Surroundings) -> Configuration:

@@ -65,13 +65,6 @@ def run_plan(options: Namespace) -> int:
     return 0
 
 
-def _named(configurations: Observations, row: int) -> str:
-    """``54 mm, 120°``, or the observation's number."""
-    labels = ((configurations.end_distance, " mm"), (configurations.end_rotation, "°"))
-    parts = [f"{values[row]:g}{unit}" for values, unit in labels if values is not None]
-    return ", ".join(parts) or f"observation {configurations.labels[row]}"
-
-
 def _summary(configurations: Observations, found, sigma: float) -> dict:
     strength = {f"{name}_mm": found.strength[:, k] for k, name in enumerate(found.parameters)}
     labels = {"end_distance_mm": configurations.end_distance, "end_rotation_deg": configurations.end_rotation}
@@ -109,9 +102,11 @@ def _lines(configurations: Observations, found, sigma: float) -> list[str]:
              f"  {'rank':>4}  {'configuration':18}{names}{'region left':>14}"]
     ranked = [(str(place), row, f"{left:.2g}")
               for place, (row, left) in enumerate(zip(found.order, found.volume, strict=True), 1)]
+    labels = ((configurations.end_distance, " mm"), (configurations.end_rotation, "°"))
     for rank, row, left in (*ranked, ("last", found.least, "least of all")):
+        name = ", ".join(f"{values[row]:g}{unit}" for values, unit in labels if values is not None)
         strength = "".join(f"{value:13.3g}" for value in found.strength[row])
-        lines.append(f"  {rank:>4}  {_named(configurations, row):18}{strength}{left:>14}")
+        lines.append(f"  {rank:>4}  {name or f'observation {configurations.labels[row]}':18}{strength}{left:>14}")
     lost = int((found.sensed < found.cells).sum())
     if lost:
         lines.append(f"  note        {lost} configurations have no certified equilibrium in some cells, which do not count")

@@ -215,7 +215,12 @@ def run_servo(options: Namespace) -> int:
     held = [begin, *(step.clamps for step in steps)]
     write_text(folder / PATH, path_table(ClampPath(np.arange(len(held), dtype=float), **{
         name: np.stack([getattr(clamps, name) for clamps in held]) for name in POSES})))
-    write_text(folder / TABLE, _table(steps, unit))
+    names = [f"{name}{bound}_{unit.unit}" for name in unit.names for bound in ("", "_low", "_high")]
+    write_text(folder / TABLE, csv_text(
+        ["step", "distance_mm", "estimated_mm", "status", "rod", "vertices_seen", "covered", *names], (
+            [number, step.true_mm, step.estimated_mm, STATUSES[step.status], HOW[step.seen.frame.how],
+             np.isfinite(step.seen.seen).all(axis=1).sum(), " ".join(step.seen.covered),
+             *(value for row in unit.of(step.learned) for value in row)] for number, step in enumerate(steps, 1))))
     distance = np.array([(step.true_mm, step.estimated_mm) for step in steps])
     servo_picture(folder / PICTURE, rod.observations.name, steps[0].seen.rod, end, rod.places[0], distance, reached,
                   rod.observations.up)
@@ -290,15 +295,6 @@ def _steps(rod: SteeredRod, true: Material, cameras: "VirtualCameras", rig: Rig,
                               float(servo.distance[0]), int(servo.status[0]), servo.material))
             bar.update(shown, advance=1, description=f"steps: {STATUSES[steps[-1].status]}")
     return begin, steps, state.configuration.vertices[0]
-
-
-def _table(steps: list[Step], unit: Stiffness) -> str:
-    """The steps as CSV."""
-    names = [f"{name}{bound}_{unit.unit}" for name in unit.names for bound in ("", "_low", "_high")]
-    return csv_text(["step", "distance_mm", "estimated_mm", "status", "rod", "vertices_seen", "covered", *names], (
-        [number, step.true_mm, step.estimated_mm, STATUSES[step.status], HOW[step.seen.frame.how],
-         np.isfinite(step.seen.seen).all(axis=1).sum(), " ".join(step.seen.covered),
-         *(value for row in unit.of(step.learned) for value in row)] for number, step in enumerate(steps, 1)))
 
 
 def _summary(steps: list[Step], unit: Stiffness, true: Material, written: list[Path]) -> dict:

@@ -114,7 +114,10 @@ TASKS = 20  # for each thread
 
 def machine() -> dict[str, str | int]:
     """What the figures were taken on: the processor's name and the number of cores, nothing that names the host."""
-    return {"processor": _processor(), "cores": os.cpu_count() or 1}
+    information = Path("/proc/cpuinfo")
+    lines = information.read_text(encoding="utf-8").splitlines() if information.exists() else []
+    name = next((line.partition(":")[2].strip() for line in lines if line.startswith("model name")), None)
+    return {"processor": name or platform.processor() or platform.machine(), "cores": os.cpu_count() or 1}
 
 
 def versions() -> dict[str, str]:
@@ -146,12 +149,3 @@ def timed(work) -> tuple[float, object]:
     began = time.perf_counter()
     result = work()
     return time.perf_counter() - began, result
-
-
-def _processor() -> str:
-    information = Path("/proc/cpuinfo")
-    if information.exists():
-        for line in information.read_text(encoding="utf-8").splitlines():
-            if line.startswith("model name"):
-                return line.partition(":")[2].strip()
-    return platform.processor() or platform.machine()

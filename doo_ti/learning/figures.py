@@ -95,7 +95,14 @@ def read(runs: list[Path], *, by_end_distance: bool, observation: int | None, mo
     panels = [LandscapePanel(name, plane_of(landscape)) for name, landscape in zip(names, landscapes, strict=True)]
     by_distance = [_by_end_distance(panel, landscape) for panel, landscape in zip(panels, landscapes, strict=True)
                    ] if by_end_distance else None
-    return Study(landscapes, experiments, panels, by_distance, cells_to_record(landscapes, most_cells), observation)
+    # All cells of the grid, or at most as many evenly spread ones that include each landscape's best.
+    grid = landscapes[0].grid
+    best = [np.unravel_index(landscape.best, grid.shape) for landscape in landscapes]
+    kept = thinned(grid.shape, grid.size if most_cells is None else most_cells, best)
+    axes = tuple(Axis(axis.name, axis.values[some], axis.log) for axis, some in zip(grid.axes, kept, strict=True))
+    index = tuple(some.ravel() for some in np.meshgrid(*kept, indexing="ij"))
+    cells = Cells(Grid(axes, grid.bend_12, grid.source), index, np.ravel_multi_index(index, grid.shape))
+    return Study(landscapes, experiments, panels, by_distance, cells, observation)
 
 
 def _by_end_distance(together: LandscapePanel, landscape: Landscape) -> list[LandscapePanel]:
@@ -157,16 +164,6 @@ def record_cells(study: Study, out: Path) -> list[dict]:
                            name=study.title, runs=runs, cells=cells.cell, rank=rank, texts=_cell_texts(study),
                            rods=_relaxed(study, advance=lambda done: bar.update(task, advance=done)))
     return [_file(path, began)]
-
-
-def cells_to_record(landscapes: list[Landscape], most: int | None) -> Cells:
-    """All cells of the grid that the landscapes share, or at most ``most`` evenly spread ones that include each one's best."""
-    grid = landscapes[0].grid
-    best = [np.unravel_index(landscape.best, grid.shape) for landscape in landscapes]
-    kept = thinned(grid.shape, grid.size if most is None else most, best)
-    axes = tuple(Axis(axis.name, axis.values[some], axis.log) for axis, some in zip(grid.axes, kept, strict=True))
-    index = tuple(some.ravel() for some in np.meshgrid(*kept, indexing="ij"))
-    return Cells(Grid(axes, grid.bend_12, grid.source), index, np.ravel_multi_index(index, grid.shape))
 
 
 def thinned(shape: tuple[int, ...], most: int, kept: list[tuple[int, ...]]) -> tuple[np.ndarray, ...]:

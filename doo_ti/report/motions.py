@@ -101,7 +101,13 @@ def save_rollout(path: Path, name: str, names: list[str], positions: np.ndarray,
             plot.legend(fontsize=8, frameon=False)
     time = np.arange(positions.shape[1]) / rate
     if recorded is not None:
-        _draw_errors(figure.add_subplot(grid[lines, :]), time, np.abs(positions - recorded).mean(axis=(2, 3)))
+        plot, error = figure.add_subplot(grid[lines, :]), np.abs(positions - recorded).mean(axis=(2, 3))  # (R, T) of all rods
+        plot.plot(time, error.T, color=PREDICTED, lw=0.5, alpha=0.35)
+        known = np.isfinite(error).any(axis=0)
+        plot.plot(time[known], np.nanmedian(error[:, known], axis=0), color="black", lw=1.6, label="median")
+        most = max(1.0, 1.1 * np.quantile(error[np.isfinite(error)], 0.99) if known.any() else 0.0)
+        plot.set(ylim=(0, most), xlabel="time [s]", ylabel="mean |difference| [mm]")
+        plot.legend(fontsize=8, frameon=False)
     if energies is not None:
         first = {name: value[rows[0]] for name, value in energies.items()}
         _draw_energies(figure.add_subplot(grid[-1, :]), time, first, names[rows[0]])
@@ -122,16 +128,6 @@ def _draw_stills(plot, axes: np.ndarray, positions: np.ndarray, recorded: np.nda
     plot.set_xlabel(f"{direction(axes[0])} [mm]", fontsize=8)
     plot.set_ylabel(f"{direction(axes[1])} [mm]", fontsize=8)
     plot.tick_params(labelsize=8)
-
-
-def _draw_errors(plot, time: np.ndarray, error: np.ndarray) -> None:
-    """Errors (R, T) of all rods, and their median."""
-    plot.plot(time, error.T, color=PREDICTED, lw=0.5, alpha=0.35)
-    known = np.isfinite(error).any(axis=0)
-    plot.plot(time[known], np.nanmedian(error[:, known], axis=0), color="black", lw=1.6, label="median")
-    most = max(1.0, 1.1 * np.quantile(error[np.isfinite(error)], 0.99) if known.any() else 0.0)
-    plot.set(ylim=(0, most), xlabel="time [s]", ylabel="mean |difference| [mm]")
-    plot.legend(fontsize=8, frameon=False)
 
 
 def _draw_energies(plot, time: np.ndarray, energies: dict[str, np.ndarray], name: str) -> None:
