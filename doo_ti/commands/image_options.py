@@ -247,10 +247,10 @@ def seen_rods(options: Namespace, which: str, load: Callable[[Rig], tuple[ImageS
     rest_length = None if options.rest_length is None else read_rest_length(options.rest_length)
     surroundings = given.surroundings(options)
     sets, beside = load(rig(options))
-    if rest_length is not None and sets.direction is not None:
-        sets.rig.check_sight(sets.point + rest_length.min() * sets.direction, "the first edge")
     if rest_length is not None:
         given.refuse(options, ("edge", "length"), "given beside --rest-length", "give the one or the other")
+        if sets.direction is not None:
+            sets.rig.check_sight(sets.point + rest_length.min() * sets.direction, "the first edge")
     bounds = LengthBounds(*options.length or (0.0, np.inf), options.edge)
     seen = SeenRods(sets, rest_length, bounds, grid.materials(), sight(options, sets, method), up, surroundings, guessed)
     return seen, beside

@@ -155,6 +155,7 @@ def simulated_rods(options: Namespace, out: Path, changes: dict) -> SimulatedRod
 
     changes  fields of :class:`doo_ti.dynamics.parameters.Stepping`
     """
+    from doo_ti.dynamics.theta import simulated
     from doo_ti.motion.path import LARGEST_TURN
     from doo_ti.motion.predict import begun, grippers_along, rate_of
     from doo_ti.relaxation.newton import Newton
@@ -168,7 +169,10 @@ def simulated_rods(options: Namespace, out: Path, changes: dict) -> SimulatedRod
     if not path.timed:
         raise InputError(given.SOURCE, "--rate", "missing, and the motion has no times", "give its moments per second")
     options.theta_note = given.EVERYTHING
-    stepping, dynamics = Stepping(rate_of(path), **changes), losses(options)
+    theta, stepping = given.theta(options), Stepping(rate_of(path), **changes)
+    # Damping, drag and the mass of markers are those of --theta but for what the options give.
+    dynamics = Dynamics() if theta is None else simulated([theta])[1]
+    dynamics = replace(dynamics, **{name: getattr(options, name) for name in LOSSES if getattr(options, name) is not None})
     warn_of(held, options)
     with busy(f"relaxing {len(held.names)} rods (kernels are compiled once on a machine)"):
         _, rows, (first, clamps, _) = begun(held.start, held.material, held.clamps, path, LARGEST_TURN, held.up, Newton(),
@@ -264,15 +268,6 @@ def _begins_off(held: HeldRods) -> dict[str, np.ndarray]:
 
 
 # --- theta ---------------------------------------------------------------------------------------------------------------
-
-
-def losses(options: Namespace) -> Dynamics:
-    """Damping, drag and the mass of markers, of ``--theta`` but for what the options give."""
-    from doo_ti.dynamics.theta import simulated
-
-    theta = given.theta(options)
-    found = Dynamics() if theta is None else simulated([theta])[1]
-    return replace(found, **{name: getattr(options, name) for name in LOSSES if getattr(options, name) is not None})
 
 
 def require_length(source, theta, length: float) -> None:

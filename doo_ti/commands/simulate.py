@@ -94,7 +94,12 @@ def declare(add) -> None:
 
 
 def run(options: Namespace) -> int:
-    out, changes, up = options.out, _stepping(options), given.world_up(options)
+    out, up = options.out, given.world_up(options)
+    if options.tolerance is None:
+        given.refuse(options, ("most_substeps",), "given without --tolerance", "give both, or --substeps")
+    changes = {name: getattr(options, name) for name in ("substeps", "scheme", "precision", "tolerance", "most_substeps")}
+    changes["quasi_static"] = options.quasi_static or None
+    changes = {name: value for name, value in changes.items() if value is not None}  # fields of Stepping
     if Path(options.source).suffix == ".toml":
         found = _scene(options, changes, up)
     else:
@@ -115,16 +120,6 @@ def run(options: Namespace) -> int:
     _draw(found, options.picture, options.recording, options.animation)
     results.report(options, summary, lambda: _lines(found, summary, whole))
     return 0 if (found.status[:, -1] == Status.CONVERGED).any() else 1
-
-
-def _stepping(options: Namespace) -> dict:
-    """The fields of :class:`doo_ti.dynamics.parameters.Stepping` that the options give."""
-    if options.tolerance is None:
-        given.refuse(options, ("most_substeps",), "given without --tolerance", "give both, or --substeps")
-    found = {"substeps": options.substeps, "scheme": options.scheme, "precision": options.precision,
-             "tolerance": options.tolerance, "most_substeps": options.most_substeps,
-             "quasi_static": options.quasi_static or None}
-    return {name: value for name, value in found.items() if value is not None}
 
 
 def _recorded(options: Namespace, out: Path, changes: dict, up: np.ndarray) -> _Simulated:

@@ -68,7 +68,15 @@ class _Search:
 
 
 def run_sweep(options: Namespace) -> int:
-    searches = _searches(options)
+    searches, out = [_search(options, source, options.out) for source in options.sources], options.out
+    if len(searches) > 1:  # each gets a folder below --out
+        names = [search.observations.name for search in searches]
+        if len(set(names)) < len(names):
+            twice = max(names, key=names.count)
+            raise InputError(given.SOURCE, "SOURCE", f"two of the name {twice!r}", "name the scenes or files apart")
+        if os.path.exists(out / "cells"):
+            raise InputError(out, "--out", "holds the sweep of a single source", "name another folder")
+        searches = [replace(search, run=out / name) for search, name in zip(searches, names, strict=True)]
     for search in searches:
         doubts.warn(search.observations, search.options.surroundings, **loading.stated(options))
 
@@ -100,21 +108,6 @@ def run_sweep(options: Namespace) -> int:
 def _stamp(run: Path) -> int | None:
     """The time at which the summary of a run was written."""
     return (run / SUMMARY).stat().st_mtime_ns if (run / SUMMARY).exists() else None
-
-
-def _searches(options: Namespace) -> list[_Search]:
-    """The sweeps to run, all checked before the first one starts; each of several sources gets a folder below --out."""
-    out = options.out
-    searches = [_search(options, source, out) for source in options.sources]
-    if len(searches) == 1:
-        return searches
-    names = [search.observations.name for search in searches]
-    if len(set(names)) < len(names):
-        twice = max(names, key=names.count)
-        raise InputError(given.SOURCE, "SOURCE", f"two of the name {twice!r}", "name the scenes or files apart")
-    if os.path.exists(out / "cells"):
-        raise InputError(out, "--out", "holds the sweep of a single source", "name another folder")
-    return [replace(search, run=out / name) for search, name in zip(searches, names, strict=True)]
 
 
 def _search(options: Namespace, source: str, run: Path) -> _Search:

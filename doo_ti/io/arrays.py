@@ -200,7 +200,10 @@ class CsvTable:
 
     def numbers(self, name: str, *, may_be_empty: bool = False) -> np.ndarray:
         """(N,) f64: the finite numbers of a column; NaN where it may be empty and is. Raises InputError for anything else."""
-        values = np.array([_number(cell, may_be_empty, self.decimal) for cell in self.columns[name]])
+        cells = self.columns[name]
+        if may_be_empty:
+            cells = ["nan" if cell.lower() in EMPTY else TRUTH.get(cell.lower(), cell) for cell in cells]
+        values = np.array([number_in(cell, self.decimal) for cell in cells])
         allowed = np.isfinite(values) | (np.isnan(values) if may_be_empty else False)
         self.refuse(name, ~allowed, "is not a finite number", "give decimal numbers")
         return values
@@ -218,13 +221,6 @@ class CsvTable:
         broken = (values != np.round(values)) | (np.abs(values) >= 2**53)
         self.refuse(name, broken, "is not a whole number", "give whole numbers")
         return values.astype(np.int64)
-
-
-def _number(cell: str, may_be_empty: bool, decimal: str) -> float:
-    """The number in a cell, NaN where it is missing and may be, infinity where there is none."""
-    if may_be_empty and cell.lower() in EMPTY:
-        return np.nan
-    return number_in(TRUTH.get(cell.lower(), cell) if may_be_empty else cell, decimal)
 
 
 def number_in(cell: str, decimal: str = ".") -> float:
