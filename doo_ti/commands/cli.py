@@ -90,10 +90,6 @@ class _Parser(argparse.ArgumentParser):
             for action, text in zip(optional, kept, strict=True):
                 action.help = text
 
-    def options(self) -> list[str]:
-        """The names of this command's options."""
-        return [name for action in self._actions for name in action.option_strings if action.help != argparse.SUPPRESS]
-
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command that ``argv`` (without the program's name) spells out; returns the exit code."""
@@ -160,7 +156,8 @@ def _run(argv: list[str]) -> int:
 def _unexpected(command: _Parser, word: str) -> InputError:
     """The error for a ``word`` that the command does not take."""
     kind, name = "unknown option" if word.startswith("-") else "unexpected argument", word.split("=")[0]
-    meant = nearest(name, command.options()) if name.startswith("--") else None
+    options = [option for action in command._actions for option in action.option_strings if action.help != argparse.SUPPRESS]
+    meant = nearest(name, options) if name.startswith("--") else None
     help_line = f"see {command.prog} --help"
     return InputError(command.prog, name, kind, f"did you mean {meant}? S{help_line[1:]}" if meant else help_line)
 

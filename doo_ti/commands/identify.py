@@ -88,7 +88,10 @@ def run(options: Namespace) -> int:
     doubts.say(options.motions[0], None if not share > FAR_OFF else f"after the fit the rod is {share:.1%} of its length off; "
                "check the rate, the unit, --up and the order of the markers")
     if options.picture is not None:
-        _draw(options.picture, found, rollouts)
+        positions, _, _, simulation = rollouts.simulated(found.theta)
+        touched = Touched(surroundings, positions, simulation.contact_force) if surroundings else None
+        save_rollout(options.picture, "identified", list(motion.names), positions, motion.positions, motion.rate,
+                     found.theta.up, touched=touched)
     report(options, summary, lambda: _lines(summary, motion))
     return 0
 
@@ -172,11 +175,3 @@ def _lines(summary: dict, motion) -> list[str]:
                                   "--radius"),
             *(("glitch", in_line(line)) for line in shortened(summary["glitches"], MOST_LISTED, "and {} more")), width=16),
         f"  written to {in_line(summary['out'])}"]
-
-
-def _draw(picture: Path, found, rollouts) -> None:
-    motion, surroundings = rollouts.motion, rollouts.surroundings
-    positions, _, _, simulation = rollouts.simulated(found.theta)
-    touched = Touched(surroundings, positions, simulation.contact_force) if surroundings else None
-    save_rollout(picture, "identified", list(motion.names), positions, motion.positions, motion.rate, found.theta.up,
-                 touched=touched)

@@ -3,7 +3,7 @@ checked before any image is read."""
 
 import os
 from argparse import ArgumentParser, Namespace
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -41,19 +41,16 @@ def add_rig(parser: ArgumentParser) -> None:
     """The cameras, and what their file leaves open; :func:`rig` reads them."""
     given.add(parser, "--rig", "RIG", scene_file, "the calibrated cameras (docs/cameras.md): OpenCV FileStorage YAML, OpenCV's "
               "stereo file, or COLMAP's cameras.txt", required=True)
-    given.add(parser, "--rig-unit", "UNIT", _length_unit, f"unit of lengths in RIG, {', '.join(UNITS_IN_MM)}, or how many mm "
-              "it has: that of COLMAP is arbitrary (default mm)")
+    units = ", ".join(UNITS_IN_MM)
+    unit = given.either({name: name for name in UNITS_IN_MM}, given.positive(f"mm, or {units}"))
+    given.add(parser, "--rig-unit", "UNIT", unit, f"unit of lengths in RIG, {units}, or how many mm it has: that of COLMAP is "
+              "arbitrary (default mm)")
     parser.add_argument("--rig-poses", choices=tuple(POSES), help="what R and t in RIG are: world to camera, camera to world, "
                         "or R and the camera's centre; axes of OpenCV (z forward) or OpenGL (y up) (default opencv)")
     parser.add_argument("--rig-lens", choices=LENSES, default="opencv", help="model of the lenses in RIG (default opencv)")
     given.add(parser, "--image-size", "WIDTH,HEIGHT", given.numbers("WIDTH,HEIGHT", given.FROM_ZERO), "size of the images, "
               "where RIG does not state it")
     add_orientation(parser, "RIG's, else ignore")
-
-
-def _length_unit(option: str, text: str) -> str | float:
-    """A word for a unit, or mm."""
-    return text if text in UNITS_IN_MM else given.positive(f"mm, or {', '.join(UNITS_IN_MM)}")(option, text)
 
 
 def add_orientation(parser: ArgumentParser, default: str) -> None:
@@ -85,16 +82,12 @@ def add_thread(parser: ArgumentParser) -> None:
     parser.add_argument("--polarity", choices=("dark", "light"), help="whether the thread is darker or lighter than the "
                         "background (default: decided per image)")
     given.add(parser, "--width", "PX", given.positive("px"), "width of the thread in the images (default: measured)")
-    given.add(parser, "--colour", "R,G,B|clicked", _colour, "colour of the thread, 0 to 255 each, instead of "
-              "--polarity; clicked: that of the thread at the pixel where it begins")
+    given.add(parser, "--colour", "R,G,B|clicked", given.either({CLICKED: CLICKED}, given.NUMBERS), "colour of the thread, "
+              "0 to 255 each, instead of --polarity; clicked: that of the thread at the pixel where it begins")
     parser.add_argument("--masks", nargs="+", metavar="MASK|FOLDER", help="segmented images, instead of detection: one for "
                         "each camera, or a folder with masks named as the images are (default: alpha channels of the images)")
     parser.add_argument("--region", action="append", metavar="CAMERA:X,Y,W,H",
                         help="part of a camera's images where the thread is; once for each camera")
-
-
-def _colour(option: str, text: str) -> tuple[float, ...] | str:
-    return CLICKED if text == CLICKED else given.NUMBERS(option, text)
 
 
 def by_camera(option: str, texts: Iterable[str] | None, names: tuple[str, ...], form: str, each: given.Reader = given.NUMBERS
@@ -229,49 +222,62 @@ class LengthBounds:
 
 
 @dataclass(frozen=True)
-class PerceptionTask:
-    """The inputs of a perception, checked as far as possible before images are read."""
+class SeenRods:
+    """Rods in images, the options of :func:`add_seen_rod` and :func:`add_thread`, checked as far as possible before images are
+    read; what the commands are to make of them is in subclasses."""
 
-    sets: object  # ImageSets
-    rest_length: np.ndarray | None
+    sets: object  # ImageSets, of a video its frames
+    rest_length: np.ndarray | None  # None: that of the thread in the images, within ``length_bounds``
     length_bounds: LengthBounds
     material: Material
-    search: object  # PerceptionOptions
     sight: object  # Sight
     up: np.ndarray
-    truth: np.ndarray | None
-    recorded: int
     surroundings: Surroundings
-    guessed: bool  # the stiffness is not given
+    guessed: bool  # the stiffness is not given: it is GUESSED_BEND
 
 
-def guess_stiffness(options: Namespace) -> bool:
-    """Whether no stiffness is given; it is then GUESSED_BEND."""
+def seen_rods(options: Namespace, which: str, load: Callable[[Rig], tuple[ImageSets, object]], method: str = "ridge"
+              ) -> tuple[SeenRods, object]:
+    """The rods in the images that ``load`` finds, and what it finds beside them; ``which`` names the rods in messages. Raises
+    InputError naming the option or file at fault."""
     guessed = options.theta is None and all(getattr(options, name) is None for name in given.MATERIAL)
     if guessed:
         options.bend = repr(GUESSED_BEND)
-    return guessed
+    grid, up = given.round_cell(options, which), given.world_up(options)
+    rest_length = None if options.rest_length is None else read_rest_length(options.rest_length)
+    surroundings = given.surroundings(options)
+    sets, beside = load(rig(options))
+    if rest_length is not None:
+        given.refuse(options, ("edge", "length"), "given beside --rest-length", "give the one or the other")
+        if sets.direction is not None:
+            sets.rig.check_sight(sets.point + rest_length.min() * sets.direction, "the first edge")
+    bounds = LengthBounds(*options.length or (0.0, np.inf), options.edge)
+    seen = SeenRods(sets, rest_length, bounds, grid.materials(), sight(options, sets, method), up, surroundings, guessed)
+    return seen, beside
+
+
+@dataclass(frozen=True)
+class PerceptionTask(SeenRods):
+    """The inputs of a perception."""
+
+    search: object  # PerceptionOptions
+    truth: np.ndarray | None
+    recorded: int
 
 
 def perception_task(options: Namespace) -> PerceptionTask:
     """Raises InputError naming the option or file at fault."""
-    guessed = guess_stiffness(options)
-    grid, up = given.round_cell(options, "perceived"), given.world_up(options)
-    rest_length = None if options.rest_length is None else read_rest_length(options.rest_length)
-    surroundings = given.surroundings(options)
+    def load(rig: Rig) -> tuple[ImageSets, np.ndarray | None]:
+        sets = _sets(options, rig)
+        return sets, _truth(options, sets.names)
 
-    sets = _sets(options, rig(options))
-    if rest_length is not None and sets.direction is not None:
-        sets.rig.check_sight(sets.point + rest_length.min() * sets.direction, "the first edge")
-    truth = _truth(options, sets.names)
+    seen, truth = seen_rods(options, "perceived", load, options.detector)
 
     from doo_ti.perception.perceive import PerceptionOptions
 
     chosen = {"nu": options.nu, "hypotheses": options.hypotheses, "evidence": options.evidence}
     search = PerceptionOptions(**{name: value for name, value in chosen.items() if value is not None})
-    return PerceptionTask(sets, rest_length, length_bounds(options), grid.materials(), search,
-                          sight(options, sets, options.detector), up, truth,
-                          0 if options.no_recording else options.recorded, surroundings, guessed)
+    return PerceptionTask(**vars(seen), search=search, truth=truth, recorded=0 if options.no_recording else options.recorded)
 
 
 def _sets(options: Namespace, rig):
@@ -307,13 +313,6 @@ def clicked(options: Namespace, rig: Rig) -> dict[int, tuple[float, float]]:
     """The pixels of ``--seed-pixel`` by the numbers of their cameras in ``rig``."""
     return {rig.names.index(camera): pixel
             for camera, pixel in by_camera("--seed-pixel", options.seed_pixel, rig.names, "U,V").items()}
-
-
-def length_bounds(options: Namespace) -> LengthBounds:
-    """What ``--edge`` and ``--length`` say."""
-    if options.rest_length is not None:
-        given.refuse(options, ("edge", "length"), "given beside --rest-length", "give the one or the other")
-    return LengthBounds(*options.length or (0.0, np.inf), options.edge)
 
 
 def _bounds(option: str, text: str) -> tuple[float, float]:

@@ -54,29 +54,21 @@ def text(summary: dict) -> str:
     machine = (f"{found['processor']}, {counted(found['cores'], 'core')}, {counted(found['threads'], 'thread')}"
                f"{'' if found['architecture'] == 'cpu' else ', ' + found['architecture']}; {versions}; "
                f"batches of {summary['rods']}, rods of 33 edges, medians of {summary['rounds']}")
-    return "\n\n".join([machine, _table(summary["cases"]), "\n".join(_notes(summary))])
-
-
-def _table(cases: dict[str, dict]) -> str:
-    """One line per case, columns aligned; a dash where a figure does not apply."""
     heads = ["case", "per second", "ratio ·10⁶", "converged", "stable", "iterations", "residual", "lanes busy"]
     lines = [[name, f"{case['per_second']:,.0f} {case['unit']}", f"{1e6 * case['ratio']:.4g}", percent(case["converged"]),
               percent(case["stable"]), f"{case['iterations']:.1f}" if case["iterations"] else "–",
               "–" if case["residual"] is None else f"{case['residual']:.0e} /mm", percent(case["busy"])]
-             for name, case in cases.items()]
+             for name, case in summary["cases"].items()]  # a dash where a figure does not apply
     widths = [max(map(len, column)) for column in zip(heads, *lines, strict=True)]
     rows = [heads, ["-" * width for width in widths], *lines]
-    return "\n".join("| " + " | ".join(map(str.ljust, row, widths)) + " |" for row in rows)
-
-
-def _notes(summary: dict) -> list[str]:
-    """What the ratio is, and the accuracy."""
+    table = "\n".join("| " + " | ".join(map(str.ljust, row, widths)) + " |" for row in rows)
     accuracy = summary["f32_against_f64"]
-    return [
+    return "\n\n".join([
+        machine, table,
         "- ratio: to the multiply-adds per second of NumPy's dot products in the same round; compare this one where other work "
-        "shares the machine",
-        f"- f32 against f64: {percent(accuracy['same_minimum'])} of {accuracy['rods']} rods in the same minimum, there "
-        f"{accuracy['median_mm']:.1e} mm apart (median), {accuracy['percentile_99_mm']:.1e} mm (99th percentile)"]
+        f"shares the machine\n- f32 against f64: {percent(accuracy['same_minimum'])} of {accuracy['rods']} rods in the same "
+        f"minimum, there {accuracy['median_mm']:.1e} mm apart (median), {accuracy['percentile_99_mm']:.1e} mm (99th "
+        "percentile)"])
 
 
 def percent(share: float | None) -> str:

@@ -100,11 +100,19 @@ def held_rods(options: Namespace, out: Path, kinds: tuple[Clamp | None, Clamp | 
     inertia."""
     if options.motion is None:
         raise InputError(given.SOURCE, "--motion", "missing", "name a file of poses, or give a scene of motion")
-    grid, surroundings = given.grid(options), with_friction_of_theta(options, given.surroundings(options))
+    grid, surroundings, theta = given.grid(options), given.surroundings(options), given.theta(options)
+    if theta is not None and theta.friction is not None:
+        use = "that of all obstacles" if surroundings.bodies else "ignored without obstacles"
+        options.friction_note = f"; its friction of {theta.friction:.3g} is {use}"
+        surroundings = surroundings.rubbing(theta.friction)
     observations = loading.load(options, options.source)
     refuse_overwriting(out, options.source, options.motion)
     path = _path(options, observations.up)
-    observations = _with_frames(observations, path, options.relative)
+    if not (path.tangents_only or options.relative):  # rods are held by the frames of the path's first moment, without own ones
+        frames = {name: np.broadcast_to(value[0], (observations.count, 3, 3)) for name, value in
+                  (("start_frame", path.start_frame), ("end_frame", path.end_frame))
+                  if value is not None and getattr(observations, name) is None and value.shape[1] in (1, observations.count)}
+        observations = replace(observations, **frames)
     if path.count not in (1, observations.count) and observations.count > 1:
         raise InputError(options.motion, "positions_mm", f"{path.count} motions for {observations.count} observations",
                          "give one motion, or one for each observation")
@@ -147,6 +155,7 @@ def simulated_rods(options: Namespace, out: Path, changes: dict) -> SimulatedRod
 
     changes  fields of :class:`doo_ti.dynamics.parameters.Stepping`
     """
+    from doo_ti.dynamics.theta import simulated
     from doo_ti.motion.path import LARGEST_TURN
     from doo_ti.motion.predict import begun, grippers_along, rate_of
     from doo_ti.relaxation.newton import Newton
@@ -160,7 +169,10 @@ def simulated_rods(options: Namespace, out: Path, changes: dict) -> SimulatedRod
     if not path.timed:
         raise InputError(given.SOURCE, "--rate", "missing, and the motion has no times", "give its moments per second")
     options.theta_note = given.EVERYTHING
-    stepping, dynamics = Stepping(rate_of(path), **changes), losses(options)
+    theta, stepping = given.theta(options), Stepping(rate_of(path), **changes)
+    # Damping, drag and the mass of markers are those of --theta but for what the options give.
+    dynamics = Dynamics() if theta is None else simulated([theta])[1]
+    dynamics = replace(dynamics, **{name: getattr(options, name) for name in LOSSES if getattr(options, name) is not None})
     warn_of(held, options)
     with busy(f"relaxing {len(held.names)} rods (kernels are compiled once on a machine)"):
         _, rows, (first, clamps, _) = begun(held.start, held.material, held.clamps, path, LARGEST_TURN, held.up, Newton(),
@@ -194,17 +206,6 @@ def _path(options: Namespace, up: np.ndarray) -> ClampPath:
     if options.motion_up is not None:
         turn = matrix_from_quaternion(smallest_rotation(options.motion_up, up))
     return load_path(Path(options.motion), options.motion_unit or options.unit, named, tuple(axes), turn)
-
-
-def _with_frames(observations: Observations, path: ClampPath, relative: bool) -> Observations:
-    """The observations with the frames of the path's first moment, where they have none of their own and the path has:
-    the rods are held by them."""
-    if path.tangents_only or relative:
-        return observations
-    frames = {name: np.broadcast_to(value[0], (observations.count, 3, 3)) for name, value in
-              (("start_frame", path.start_frame), ("end_frame", path.end_frame))
-              if value is not None and getattr(observations, name) is None and value.shape[1] in (1, observations.count)}
-    return replace(observations, **frames)
 
 
 def settled(observations: Observations, clamps: Clamps, materials: Material, surroundings: Surroundings) -> Configuration:
@@ -267,25 +268,6 @@ def _begins_off(held: HeldRods) -> dict[str, np.ndarray]:
 
 
 # --- theta ---------------------------------------------------------------------------------------------------------------
-
-
-def losses(options: Namespace) -> Dynamics:
-    """Damping, drag and the mass of markers, of ``--theta`` but for what the options give."""
-    from doo_ti.dynamics.theta import simulated
-
-    theta = given.theta(options)
-    found = Dynamics() if theta is None else simulated([theta])[1]
-    return replace(found, **{name: getattr(options, name) for name in LOSSES if getattr(options, name) is not None})
-
-
-def with_friction_of_theta(options: Namespace, surroundings: Surroundings) -> Surroundings:
-    """The surroundings with the friction that ``--theta`` states, if it does."""
-    theta = given.theta(options)
-    if theta is None or theta.friction is None:
-        return surroundings
-    use = "that of all obstacles" if surroundings.bodies else "ignored without obstacles"
-    options.friction_note = f"; its friction of {theta.friction:.3g} is {use}"
-    return surroundings.rubbing(theta.friction)
 
 
 def require_length(source, theta, length: float) -> None:

@@ -139,7 +139,16 @@ def grid(options: Namespace, base: Grid | None = None) -> Grid:
         refuse(options, MATERIAL, "given beside --theta", "give one of the two")
         texts |= {"bend": repr(found.bend), "twist": repr(found.bend * found.twist_ratio)}
     axes, bend_12 = parse_axes(texts, SOURCE, "--")
-    axes += _physical_axes(options)
+    for physical, name, others in (("EI", "bend", ("bend", "bend_1", "bend_2", "weight")),
+                                   ("GJ", "twist", ("twist", "twist_ratio", "weight"))):
+        text = getattr(options, physical)
+        if text is None:
+            continue
+        refuse(options, others, f"given beside --{physical}", "give one of the two")
+        if options.linear_density is None:
+            raise InputError(SOURCE, "--linear-density", f"missing beside --{physical}", "give the rod's in g/m")
+        axis = parse_axis(f"--{physical}", text, SOURCE)  # in N m²: relative to a weight of 1
+        axes.append(Axis(name, bend_or_twist(axis.values, weight_per_length(options.linear_density)), axis.log))
     if base is not None:
         return base.with_axes(tuple(axes), bend_12)
     if not any(axis.name in ("bend", "bend_1", "bend_2") for axis in axes):
@@ -154,22 +163,6 @@ def theta(options: Namespace):
     from doo_ti.dynamics.theta import load_theta
 
     return load_theta(options.theta)
-
-
-def _physical_axes(options: Namespace) -> list[Axis]:
-    """The axes that ``--EI`` and ``--GJ`` give in N m², as bend and twist relative to a weight of 1."""
-    axes = []
-    for physical, name, others in (("EI", "bend", ("bend", "bend_1", "bend_2", "weight")),
-                                   ("GJ", "twist", ("twist", "twist_ratio", "weight"))):
-        text = getattr(options, physical)
-        if text is None:
-            continue
-        refuse(options, others, f"given beside --{physical}", "give one of the two")
-        if options.linear_density is None:
-            raise InputError(SOURCE, "--linear-density", f"missing beside --{physical}", "give the rod's in g/m")
-        axis = parse_axis(f"--{physical}", text, SOURCE)
-        axes.append(Axis(name, bend_or_twist(axis.values, weight_per_length(options.linear_density)), axis.log))
-    return axes
 
 
 def newtons(options: Namespace, weight) -> np.ndarray | None:
@@ -293,6 +286,11 @@ def rows(option: str, text: str | None, count: int) -> tuple[int, ...]:
     if len(set(found)) < len(found):
         raise InputError(SOURCE, option, f"{text!r} names a row twice", "name each once")
     return found
+
+
+def either(words: dict[str, object], otherwise: Reader) -> Reader:
+    """What one of the ``words`` stands for, or what ``otherwise`` reads."""
+    return lambda option, text: words[text] if text in words else otherwise(option, text)
 
 
 def direction(option: str, text: str) -> np.ndarray:

@@ -192,24 +192,20 @@ def _perceived(task: PerceptionTask, detected: list[list], seed_sigma: np.ndarra
 
 def _arrays(task: PerceptionTask, found) -> dict[str, np.ndarray]:
     """The arrays of the file; docs/commands/perceive.md."""
-    sound = _found(found)[:, None]
+    sound, sigma = _found(found)[:, None], found.sigma.copy()
+    # The last vertex, and a clicked first one, is as uncertain along the rod as its length: a range of 4 σ.
+    ends = [-1] if task.sets.point is not None else [0, -1]
+    sigma[:, ends] = np.hypot(sigma[:, ends], np.nan_to_num(np.ptp(found.length_range, axis=1, keepdims=True)) / 4 / np.sqrt(3))
     return {
         "name": np.array(task.sets.names), "vertices_mm": found.vertices, "rest_length_mm": task.rest_length, "up": task.up,
         "valid": sound & np.isfinite(found.vertices).all(axis=-1),
-        "sigma_mm": np.where(sound, np.maximum(_sigma(task, found), LEAST_SIGMA_MM), np.nan),
+        "sigma_mm": np.where(sound, np.maximum(sigma, LEAST_SIGMA_MM), np.nan),
         **{name: getattr(found, name) for name in ("energy_vis", "status", "stable", "coverage", "outside", "hidden", *MISREAD,
                                                    "verdict", "unsupported")},
         "camera_error_px": found.camera_error, "thread_length_mm": found.thread_length, "left_over_mm": found.left_over,
         "length_range_mm": found.length_range, "gap_px": found.gap, "runner_up_mm": found.runner_up,
         "runner_up_energy_vis": found.runner_up_energy,
     }
-
-
-def _sigma(task: PerceptionTask, found) -> np.ndarray:
-    """(S, V) mm. The last vertex, and a clicked first one, is as uncertain along the rod as its length: a range of 4 σ."""
-    sigma, ends = found.sigma.copy(), [-1] if task.sets.point is not None else [0, -1]
-    sigma[:, ends] = np.hypot(sigma[:, ends], np.nan_to_num(np.ptp(found.length_range, axis=1, keepdims=True)) / 4 / np.sqrt(3))
-    return sigma
 
 
 def _found(found) -> np.ndarray:
@@ -227,10 +223,12 @@ def _shown(options: Namespace, task: PerceptionTask, detected: list[list], found
     def seen(row: int):
         images = [read_image(path, camera) for path, camera in zip(task.sets.paths[row], rig.cameras, strict=True)]
         marks = [detection.points for detection in detected[row]]
-        rival = found.runner_up[row, 0] if np.isfinite(found.gap[row]) else None
+        rival, next_best = None, "no other rod"
+        if np.isfinite(found.gap[row]):
+            rival, next_best = found.runner_up[row, 0], f"next best {found.gap[row]:.2g} px worse"
         truth = None if task.truth is None else task.truth[row]
         return SeenRod(task.sets.names[row], images, marks, found.configuration.vertices[row], rival, truth,
-                       _verdict_text(found, row))
+                       f"{_word(found.verdict[row])}, {next_best}")
 
     if len(there) and not options.no_picture:
         picture = out.with_suffix(".png")
@@ -252,6 +250,9 @@ def _summary(task: PerceptionTask, detected: list[list], found, failed: dict[int
     """The content of ``--json``, from which the lines of text are made."""
     from doo_ti.perception.perceive import PerceptionVerdict
 
+    error = None
+    if task.truth is not None and task.truth.shape[1] == found.vertices.shape[1]:  # distances to the true rods' marks
+        error = np.linalg.norm(found.vertices - task.truth, axis=-1)
     sets = [{
         "name": name, "length_mm": task.rest_length.sum(), "status": Status(found.status[row]).name.lower(),
         **{name: getattr(found, name)[row] for name in ("stable", "energy_vis", "coverage", "outside", "hidden", *MISREAD)},
@@ -260,7 +261,8 @@ def _summary(task: PerceptionTask, detected: list[list], found, failed: dict[int
         "thread_length_mm": found.thread_length[row], "left_over_mm": found.left_over[row],
         "length_range_mm": found.length_range[row], "bounded": task.length_bounds.limits(task.rest_length),
         "unsupported_edges": found.unsupported[row].sum(), "unsupported_mm": task.rest_length[found.unsupported[row]].sum(),
-        "mean_sigma_mm": found.sigma[row].mean() if found.sound[row] else None, **_errors(task, found, row),
+        "mean_sigma_mm": found.sigma[row].mean() if found.sound[row] else None,
+        **({} if error is None else {"mean_error_mm": error[row].mean(), "largest_error_mm": error[row].max()}),
         "failed": str(failed[row]) if row in failed else None,
     } for row, name in enumerate(task.sets.names)]
     return {
@@ -274,20 +276,6 @@ def _summary(task: PerceptionTask, detected: list[list], found, failed: dict[int
             (path for line in task.sets.paths for path in line), task.sets.rig.cameras[0].turned),
         "written": [str(path) for path in written],
     }
-
-
-def _errors(task: PerceptionTask, found, row: int) -> dict:
-    """Distances to the true rod's marks, where it has as many."""
-    if task.truth is None or task.truth.shape[1] != found.vertices.shape[1]:
-        return {}
-    error = np.linalg.norm(found.vertices[row] - task.truth[row], axis=-1)
-    return {"mean_error_mm": error.mean(), "largest_error_mm": error.max()}
-
-
-def _verdict_text(found, row: int) -> str:
-    """``clear, next best 0.31 px worse``."""
-    rival = f"next best {found.gap[row]:.2g} px worse" if np.isfinite(found.gap[row]) else "no other rod"
-    return f"{_word(found.verdict[row])}, {rival}"
 
 
 def _word(verdict: int) -> str:

@@ -40,7 +40,13 @@ def run_plan(options: Namespace) -> int:
     scene = load_scene(options.source) if Path(options.source).suffix == ".toml" else None
     grid = given.grid(options, scene.grid if scene else None)
     sigma, out = options.sigma, options.out
-    configurations = _configurations(options, scene)
+    if scene and isinstance(scene.observations, Synthesis):  # the candidates of its recipe
+        from doo_ti.refinement.plan import planned
+
+        noise = scene.observations.label_noise_mm
+        configurations = replace(planned(scene.observations), sigma=np.array(noise) if noise > 0 else None)
+    else:
+        configurations = loading.of_scene(options, scene) if scene else loading.load(options, options.source)
     measured = given.rows("--measured", options.measured, configurations.count)
     if sigma is None:
         sigma = SIGMA_MM if configurations.sigma is None else float(np.mean(configurations.sigma))
@@ -57,24 +63,6 @@ def run_plan(options: Namespace) -> int:
     written = [] if out is None else [f"  written to {in_line(out)}"]
     report(options, summary, lambda: [*_lines(configurations, found, sigma), *written])
     return 0
-
-
-def _configurations(options: Namespace, scene) -> Observations:
-    """The candidate configurations: those of the scene's recipe, or the observations."""
-    recipe = scene.observations if scene and isinstance(scene.observations, Synthesis) else None
-    if recipe is None:
-        return loading.of_scene(options, scene) if scene else loading.load(options, options.source)
-
-    from doo_ti.refinement.plan import planned
-
-    return replace(planned(recipe), sigma=np.array(recipe.label_noise_mm) if recipe.label_noise_mm > 0 else None)
-
-
-def _named(configurations: Observations, row: int) -> str:
-    """``54 mm, 120°``, or the observation's number."""
-    labels = ((configurations.end_distance, " mm"), (configurations.end_rotation, "°"))
-    parts = [f"{values[row]:g}{unit}" for values, unit in labels if values is not None]
-    return ", ".join(parts) or f"observation {configurations.labels[row]}"
 
 
 def _summary(configurations: Observations, found, sigma: float) -> dict:
@@ -114,9 +102,11 @@ def _lines(configurations: Observations, found, sigma: float) -> list[str]:
              f"  {'rank':>4}  {'configuration':18}{names}{'region left':>14}"]
     ranked = [(str(place), row, f"{left:.2g}")
               for place, (row, left) in enumerate(zip(found.order, found.volume, strict=True), 1)]
+    labels = ((configurations.end_distance, " mm"), (configurations.end_rotation, "°"))
     for rank, row, left in (*ranked, ("last", found.least, "least of all")):
+        name = ", ".join(f"{values[row]:g}{unit}" for values, unit in labels if values is not None)
         strength = "".join(f"{value:13.3g}" for value in found.strength[row])
-        lines.append(f"  {rank:>4}  {_named(configurations, row):18}{strength}{left:>14}")
+        lines.append(f"  {rank:>4}  {name or f'observation {configurations.labels[row]}':18}{strength}{left:>14}")
     lost = int((found.sensed < found.cells).sum())
     if lost:
         lines.append(f"  note        {lost} configurations have no certified equilibrium in some cells, which do not count")

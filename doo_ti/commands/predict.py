@@ -63,10 +63,17 @@ def run(options: Namespace) -> int:
         raise InputError(given.SOURCE, "--steps-between", f"{count} rods at {intervals + 1} moments are too many to hold",
                          "give fewer materials, observations or moments")
 
+    from doo_ti.motion.predict import predict, predict_moving
+
     with progress() as bar:
         shown = bar.add_task(rods.name, total=count * intervals, unit="rods x moments")
-        prediction = _predicted(rods, stepping, sub_step, options.precision, between=between, up=rods.up,
-                                advance=lambda done: bar.advance(shown, done), **rods.surroundings.arguments)
+        moved = rods.start, rods.material, rods.clamps, rods.path
+        chosen = {"between": between, "up": rods.up, "advance": lambda done: bar.advance(shown, done),
+                  **rods.surroundings.arguments}
+        if stepping is None:
+            prediction = predict(*moved, sub_step=sub_step, precision=options.precision, **chosen)
+        else:
+            prediction = predict_moving(*moved, Dynamics(density=1.0), stepping, **chosen)
     if rods.observations is not None:
         warn_of_start(rods, prediction.at(0))
     result = _arrays(rods, prediction)
@@ -78,16 +85,6 @@ def run(options: Namespace) -> int:
     loaded = [] if rods.observations is None else [loading.rod_line(rods.observations)]
     results.report(options, summary, lambda: [*lines, *loaded, f"  written to {in_line(out)}"])
     return 0 if prediction.followed[-1].any() else 1
-
-
-def _predicted(rods: HeldRods, stepping, sub_step: float, precision: str, **inputs):
-    if stepping is not None:
-        from doo_ti.motion.predict import predict_moving
-
-        return predict_moving(rods.start, rods.material, rods.clamps, rods.path, Dynamics(density=1.0), stepping, **inputs)
-    from doo_ti.motion.predict import predict
-
-    return predict(rods.start, rods.material, rods.clamps, rods.path, sub_step=sub_step, precision=precision, **inputs)
 
 
 def _stepping(rods: HeldRods, between: int, sub_step: float):
@@ -146,35 +143,33 @@ def _lines(rods: HeldRods, stepping, prediction, result: dict, summary: dict) ->
     """The result as lines of text."""
     count, moments, falls = summary["rods"], summary["moments"], summary["falls"]
     lost = np.flatnonzero(~prediction.followed[-1])
-    how = f"{summary['stable']} of {count * moments} certified stable"
-    if stepping is not None:
-        how = f"{stepping.substeps} quasi-static steps between states"
-    lines = [f"{rods.name}: {counted(count, 'rod')} of {summary['edges']} edges at {moments} moments",
-             f"  status      {results.status_text(summary['status'])}; {how}", *results.contact_lines(summary, count),
-             *results.rows(("infeasible", _inside(rods, prediction))), *results.force_lines(result, 1),
-             f"  far clamp   at the end turned about the rod by {_range(summary['end_rotation_deg'])}, total twist "
-             f"{_range(summary['total_twist_deg'])}"]
-    where = "all stayed on their branch" + ", as far as they were followed" * bool(len(lost))
-    if falls:
-        where = f"to another branch, {len({fall['rod'] for fall in falls})} of {count} rods"
-    if stepping is None:
-        lines.append(f"  jumps       {int(prediction.jumps.sum())}, {where}")
-    lines += results.shortened([
-        f"    {fall['name']}: between {fall['from_s']:g} and {fall['to_s']:g} s; the far clamp is then turned about the rod by "
-        f"{fall['end_rotation_deg']:.1f}°" for fall in falls], MOST_LISTED, "    and {} more")
-    if len(lost):
-        lines.append(f"  lost        {len(lost)} of {count} rods cannot follow the motion to its end")
-    return lines + results.shortened([
-        f"    {rods.names[rod]}: no prediction from {prediction.time[int(np.argmin(prediction.followed[:, rod]))]:g} s on"
-        for rod in lost], MOST_LISTED, "    and {} more")
-
-
-def _inside(rods: HeldRods, prediction) -> str | None:
-    """What of rods that fail where their motion begins is inside an obstacle."""
+    # What of rods that fail where their motion begins is inside an obstacle.
     failed = np.flatnonzero(prediction.status[0] != Status.CONVERGED)
     motion = prediction.motion[failed]
     start = rods.start.take(motion if rods.start.count == rods.clamps.count else failed)
-    return results.inside_reason(rods.surroundings.at(0).take(motion), rods.path.at(0, rods.clamps).take(motion), start, failed)
+    inside = results.inside_reason(rods.surroundings.at(0).take(motion), rods.path.at(0, rods.clamps).take(motion), start,
+                                   failed)
+    how = f"{summary['stable']} of {count * moments} certified stable"
+    if stepping is not None:
+        how = f"{stepping.substeps} quasi-static steps between states"
+    where = "all stayed on their branch" + ", as far as they were followed" * bool(len(lost))
+    if falls:
+        where = f"to another branch, {len({fall['rod'] for fall in falls})} of {count} rods"
+    return [
+        f"{rods.name}: {counted(count, 'rod')} of {summary['edges']} edges at {moments} moments",
+        *results.rows(
+            ("status", f"{results.status_text(summary['status'])}; {how}"), results.contact_row(summary, count),
+            ("infeasible", inside), *results.force_rows(result, 1),
+            ("far clamp", f"at the end turned about the rod by {_range(summary['end_rotation_deg'])}, total twist "
+                          f"{_range(summary['total_twist_deg'])}"),
+            ("jumps", stepping is None and f"{int(prediction.jumps.sum())}, {where}")),
+        *results.shortened([
+            f"    {fall['name']}: between {fall['from_s']:g} and {fall['to_s']:g} s; the far clamp is then turned about the "
+            f"rod by {fall['end_rotation_deg']:.1f}°" for fall in falls], MOST_LISTED, "    and {} more"),
+        *results.rows(("lost", len(lost) and f"{len(lost)} of {count} rods cannot follow the motion to its end")),
+        *results.shortened([
+            f"    {rods.names[rod]}: no prediction from {prediction.time[int(np.argmin(prediction.followed[:, rod]))]:g} s on"
+            for rod in lost], MOST_LISTED, "    and {} more")]
 
 
 def _range(degrees: np.ndarray) -> str:

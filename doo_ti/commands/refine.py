@@ -3,8 +3,9 @@
 import json
 import os
 from argparse import Namespace
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -12,7 +13,6 @@ from doo_ti.commands import doubts, loading
 from doo_ti.commands import options as given
 from doo_ti.commands.refine_text import summary_lines, summary_of
 from doo_ti.commands.results import note_theta, plain, save_json
-from doo_ti.contact.surroundings import Surroundings
 from doo_ti.io.arrays import read_npz
 from doo_ti.learning.chunks import DENSITY, read_summary
 from doo_ti.learning.landscape import Landscape, plane_of, read_landscape
@@ -24,6 +24,9 @@ from doo_ti.rod.types import Clamps
 from doo_ti.system.errors import InputError
 from doo_ti.system.files import read_content
 from doo_ti.system.terminal import busy, in_line
+
+if TYPE_CHECKING:
+    from doo_ti.refinement.refine import RefinementOptions
 
 REFINED = "refined.json"  # in the folder of a run, with its picture beside it
 STARTS = 3
@@ -47,8 +50,8 @@ def declare(add) -> None:
               "of --rest-length are off by " f"{loading.MEASURED:g}, others by {UNKNOWN_SPACING:g})")
     given.add(parser, "--sigma", "MM", given.LENGTH, "label uncertainty (default: the file's, else learned)")
     model = parser.add_argument_group("the model of the experiment")
-    given.add(model, "--clip", "MM|unknown", _clip, "length of rod that a clip holds, from the outer mark on; 0: "
-              "it ends at that mark (default: unknown, which is learned)")
+    given.add(model, "--clip", "MM|unknown", given.either({"unknown": None}, given.not_negative("mm")), "length of rod that a "
+              "clip holds, from the outer mark on; 0: it ends at that mark (default: unknown, which is learned)")
     model.add_argument("--rest-curvature", choices=CURVATURES, default=None,
                        help="curvature of the unloaded rod: field, a smooth function along it; uniform; none; auto, field "
                        "unless frames are missing and the evidence is for a straight rod (default)")
@@ -75,10 +78,6 @@ def declare(add) -> None:
                    f"file for the results of all sources (default: those of a run in RUN/{REFINED} only)")
 
 
-def _clip(option: str, text: str) -> float | None:
-    return None if text == "unknown" else given.not_negative("mm")(option, text)
-
-
 def _frames(option: str, text: str) -> str | tuple[float, float]:
     """``exact``, or standard deviations in mm and rad."""
     if text == "exact":
@@ -91,18 +90,15 @@ def _frames(option: str, text: str) -> str | tuple[float, float]:
 
 @dataclass(frozen=True)
 class Task:
-    """One source: its observations, their clamps, the Θ to start from, what the rods touch, the linear density in g/m, the
-    landscape of a run, or None, the weights that hang at the marks, or None, and whether twist was stated relative to bend."""
+    """One source: its observations, their clamps, the Θ to start from, the linear density in g/m, the landscape of a run, or
+    None, and what is to be learned, with what the rods touch and the weights that hang at the marks, or None."""
 
     observations: Observations
     clamps: Clamps
     thetas: tuple
-    frame_weight: float
-    surroundings: Surroundings
     density: float | None
     landscape: Landscape | None
-    loads: np.ndarray | None
-    twist_follows: bool
+    chosen: "RefinementOptions"
 
 
 def run(options: Namespace) -> int:
@@ -110,6 +106,7 @@ def run(options: Namespace) -> int:
     out, folds = options.out, options.folds
     tasks = [_task(options, source) for source in options.sources]
 
+    from doo_ti.learning.up_axes import other_up_of
     from doo_ti.refinement.folds import folds_of, refine_held_out
     from doo_ti.refinement.refine import refine
 
@@ -119,20 +116,21 @@ def run(options: Namespace) -> int:
     splits = [None if folds is None else folds_of(np.arange(task.observations.count), folds) for task in tasks]
     summaries = []
     for task, split in zip(tasks, splits, strict=True):
-        chosen = _refinement_options(options, task)
+        around, loads = task.chosen.surroundings, task.chosen.loads
         with busy(f"refining {task.observations.name} (kernels are compiled once on a machine)"):
-            found = refine(task.observations, task.clamps, task.thetas, chosen)
+            found = refine(task.observations, task.clamps, task.thetas, task.chosen)
         mesh = np.full(found.mesh_edges, task.observations.rest_length.sum() / found.mesh_edges)
-        doubts.say(task.observations.source, doubts.mesh_doubt(mesh, task.surroundings),
+        doubts.say(task.observations.source, doubts.mesh_doubt(mesh, around),
                    doubts.repeats_doubt(task.observations, found.adequacy.noise))
         held_out = None
         if split is not None:
             with busy(f"cross-validating {task.observations.name} in {folds} folds"):
                 begin = replace(found.theta, rest_curvature=None)
-                held_out = refine_held_out(task.observations, task.clamps, begin, split, chosen)
-        summary = summary_of(task.observations, task.surroundings, found, held_out, task.density, task.loads is not None)
-        summaries.append(summary | {"other_up": _other_up(task, found.theta),
-                                    "of_run": task.landscape is not None})
+                held_out = refine_held_out(task.observations, task.clamps, begin, split, task.chosen)
+        summary = summary_of(task.observations, around, found, held_out, task.density, loads is not None)
+        weight = found.theta.weight if loads is None else 0.0  # what bodies that hang on rods do is not compared
+        other = other_up_of(task.observations, task.clamps, weight, found.theta.up, around)
+        summaries.append(summary | {"other_up": other, "of_run": task.landscape is not None})
         written = [] if task.landscape is None else _kept(task.landscape, found, summaries[-1])
         if not options.json:
             first, *rest = summary_lines(summaries[-1])
@@ -151,38 +149,21 @@ def run(options: Namespace) -> int:
     return 0
 
 
-def _other_up(task: Task, theta) -> dict | None:
-    """An axis that fits far better than the direction ``up`` of the fit, as JSON holds it; None where the rods have no
-    weight, or bodies hang on them."""
-    from doo_ti.learning.up_axes import other_up
-
-    if theta.weight == 0 or task.loads is not None:
-        return None
-    found = other_up(task.observations, task.clamps, theta.up, task.surroundings)
-    return None if found is None else asdict(found)
-
-
 def _kept(landscape, found, summary: dict) -> list[Path]:
-    """Write the result into the folder of its run, as --json prints it, and its picture; returns the files."""
-    path = landscape.run / REFINED
+    """Write the result into the folder of its run, as --json prints it, and where the grid has two of the learned parameters
+    the landscape with their joint 95 % region; returns the files."""
+    path, grid, estimate = landscape.run / REFINED, landscape.grid, found.estimate
     save_json(path, [summary])
-    picture = _draw(landscape, found, path.with_suffix(".png"))
-    return [path, picture] if picture else [path]
-
-
-def _draw(landscape, found, path: Path) -> Path | None:
-    """The landscape with the joint 95 % region; none where the grid has not two of the learned parameters."""
-    grid, estimate = landscape.grid, found.estimate
     free = [axis.name for axis in grid.axes if len(axis) > 1]
     pair = [{"twist_ratio": "twist"}.get(name, name) for name in free]
     if len(free) != 2 or not set(pair) <= set(estimate.names) or np.isnan(landscape.mean_distance).all():
-        return None
+        return [path]
     outline = estimate.region(*pair)
     if "twist_ratio" in free:
         outline[:, free.index("twist_ratio")] /= outline[:, 1 - free.index("twist_ratio")]
-    landscape_picture(path, plane_of(landscape), region=outline,
+    landscape_picture(path.with_suffix(".png"), plane_of(landscape), region=outline,
                       title=f"{landscape.name}: the grid's error, and the 95 % region of the refined model")
-    return path
+    return [path, path.with_suffix(".png")]
 
 
 def _task(options: Namespace, source: str) -> Task:
@@ -190,7 +171,9 @@ def _task(options: Namespace, source: str) -> Task:
     density = options.linear_density
     if os.path.isdir(source):
         observations, thetas, kinds, weight, around, landscape = _of_run(options, Path(source))
-        density = run_density(Path(source)) if density is None else density
+        if density is None:  # that which its sweep was given
+            density = read_summary(Path(source)).get(DENSITY)
+            density = float(density) if isinstance(density, (int, float)) and 0 < density < np.inf else None
         grid = landscape.grid
     else:
         from doo_ti.refinement.search import theta_of_cell
@@ -209,10 +192,16 @@ def _task(options: Namespace, source: str) -> Task:
     loads = None if loads is None else loads[np.isin(every, observations.labels)]
     clamps = observation_clamps(observations, *kinds)
     check_experiment(observations, clamps, max(theta.weight for theta in thetas), weight, exact)
-    task = Task(observations, clamps, thetas, weight, around, density, landscape, loads,
-                "twist" not in [axis.name for axis in grid.axes])
-    _check_model(_refinement_options(options, task), task)
-    return task
+    # Options that do not fit the observations or each other are refused before anything is relaxed.
+    from doo_ti.refinement.held_rod import HeldRod
+    from doo_ti.refinement.refine import FEWEST_EDGES, check, unknowns_of
+
+    chosen = _refinement_options(options, frame_weight=weight, surroundings=around, loads=loads,
+                                 twist_follows="twist" not in [axis.name for axis in grid.axes])
+    check(observations, clamps, chosen)
+    unknowns = unknowns_of(HeldRod(observations, clamps, FEWEST_EDGES), chosen)
+    unknowns.begun(thetas[0], unknowns.clip_prior)
+    return Task(observations, clamps, thetas, density, landscape, chosen)
 
 
 def _loads(text: str, observations: Observations, density: float | None) -> np.ndarray:
@@ -234,12 +223,6 @@ def _loads(text: str, observations: Observations, density: float | None) -> np.n
     if not (np.isfinite(mass) & (mass >= 0)).all():
         raise InputError(text, "mass_g", "not finite, or negative", "give grams, zero where nothing hangs")
     return 2e3 * mass / density
-
-
-def run_density(run: Path) -> float | None:
-    """The linear density in g/m that the sweep of a run was given."""
-    density = read_summary(run).get(DENSITY)
-    return float(density) if isinstance(density, (int, float)) and 0 < density < np.inf else None
 
 
 def _of_run(options: Namespace, run: Path):
@@ -268,7 +251,8 @@ def _of_run(options: Namespace, run: Path):
             own.frame_weight if options.frame_weight is None else options.frame_weight, own.surroundings, landscape)
 
 
-def _refinement_options(options: Namespace, task: Task):
+def _refinement_options(options: Namespace, **of_source) -> "RefinementOptions":
+    """What the options say, and the fields that are ``of_source``."""
     from doo_ti.refinement.refine import RefinementOptions
 
     names = [name.strip().replace("-", "_") for name in options.parameters.split(",") if name.strip()]
@@ -280,16 +264,4 @@ def _refinement_options(options: Namespace, task: Task):
     exact = "exact" in (options.clamps, options.frames)
     return RefinementOptions(
         tuple(names), options.clip, curvature or "auto", options.stiffness, "exact" if exact else "loose",
-        None if options.frames == "exact" else options.frames, task.frame_weight, edges=options.edges,
-        models=not options.no_models, surroundings=task.surroundings, loads=task.loads, twist_follows=task.twist_follows)
-
-
-def _check_model(chosen, task: Task) -> None:
-    """Raise InputError for options that do not fit the observations or each other, before anything is relaxed."""
-    from doo_ti.refinement.held_rod import HeldRod
-    from doo_ti.refinement.refine import FEWEST_EDGES, check, unknowns_of
-
-    check(task.observations, task.clamps, chosen)
-    rod = HeldRod(task.observations, task.clamps, FEWEST_EDGES)
-    unknowns = unknowns_of(rod, chosen)
-    unknowns.begun(task.thetas[0], unknowns.clip_prior)
+        None if options.frames == "exact" else options.frames, edges=options.edges, models=not options.no_models, **of_source)

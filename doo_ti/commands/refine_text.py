@@ -37,13 +37,16 @@ def summary_of(observations: Observations, surroundings: Surroundings, found, he
     pairs = [(first, second) for k, first in enumerate(names) for second in names[k + 1 :]
              if not (first.startswith("up") or second.startswith("up"))]
     constant = estimate.values.constant.reshape(2, 2, 3)
+    densities = None if density is None else [density] * 3
+    if density is not None and loaded and "weight" in names:  # with its interval, learned
+        densities = [None if end is None else density * end for end in _ends(estimate.parameter("weight"))]
     summary = {
         "material": observations.name, "source": observations.source, "observations": observations.count,
         "theta": _theta(found.theta), "parameters": [asdict(parameter) for parameter in estimate.parameters],
         "unknowns": names, "covariance": estimate.covariance, "correlation": estimate.correlation,
         "degrees_of_freedom": estimate.degrees, "not_determined": estimate.left_open,
         "stiffness": _stiffness(estimate, density, loaded),
-        "linear_density_g_per_m": None if density is None else _density(estimate, density, loaded),
+        "linear_density_g_per_m": densities,
         "rest_curvature_per_mm": {"spread": scales["curvature"], "range_mm": scales["range"],
                                   "root_mean_square": 0.0 if rest is None else float(np.sqrt((np.asarray(rest) ** 2).mean()))},
         "stiffness_along": {"factor": along, "root_mean_square": float(np.sqrt((np.log(along) ** 2).mean()))},
@@ -109,19 +112,14 @@ def _stiffness(estimate, density: float | None, loaded: bool) -> dict:
     return result
 
 
-def _density(estimate, density: float, loaded: bool) -> list[float | None]:
-    """The rod's mass per length in g/m, as it was given or, with its interval, learned."""
-    if not loaded or "weight" not in estimate.names:
-        return [density] * 3
-    return [None if end is None else density * end for end in _ends(estimate.parameter("weight"))]
-
-
 def _ends(parameter) -> list[float | None]:
     return [parameter.value, parameter.low, parameter.high]
 
 
 def summary_lines(summary: dict) -> list[str]:
     """The summary as lines of text."""
+    from doo_ti.refinement.adequacy import UNROUND
+
     curvature, errors = summary["rest_curvature_per_mm"], summary["clamp_errors"]
     touched, held, varied = summary["obstacles"], summary["held_out"], summary["stiffness_along"]
     factor = varied["factor"]
@@ -130,6 +128,7 @@ def summary_lines(summary: dict) -> list[str]:
     own, *bends = (f"{theta['bend_1']:.3g}" for theta in (summary["theta"], *summary["rivals"]))
     rivals = ", ".join(bend for bend in dict.fromkeys(bends) if bend != own)
     curved = _curved(summary)
+    unround = next((one["option"] for one in summary["advice"] if one["meaning"] == UNROUND and one["gain"] > DECISIVE), None)
     elsewhere = "at more cells (--starts N)" if summary["of_run"] else "at the run of a sweep (doo-ti sweep first)"
     return [
         f"{in_line(summary['material'])}: {summary['rods_used']} of {summary['observations']} observations, "
@@ -137,7 +136,8 @@ def summary_lines(summary: dict) -> list[str]:
             ("stopped", not summary["converged"] and
              f"before its optimum: values and intervals may be far off. Begin {elsewhere}, or with fewer unknowns (--clip MM, "
              "--clamps exact, --rest-curvature none, fewer --parameters)"),
-            ("WARNING", up_text(summary["other_up"])), ("WARNING", _unround(summary)),
+            ("WARNING", up_text(summary["other_up"])), ("WARNING", unround and f"{UNROUND} explains the marks "
+             f"far better; the intervals are those of a round rod: give {unround}"),
             *((one["name"], interval_text(one["value"], one["low"], one["high"], one["unit"])
                + "  (negative: outside the outer mark)" * (one["name"].startswith("clip") and (one["low"] or 0) < 0))
               for one in summary["parameters"] if not one["name"].startswith("up[")),
@@ -166,14 +166,6 @@ def summary_lines(summary: dict) -> list[str]:
         *_adequacy_lines(summary), *_rods_lines(summary), *_models_lines(summary), *_rows(
             ("held out", held and f"mean {held['mean_distance_mm']:.4g} ± {held['standard_error_mm']:.2g} mm over "
                                   f"{held['sound']} rods in {len(held['theta'])} folds (Eq. 1)"))]
-
-
-def _unround(summary: dict) -> str | None:
-    """What to say of a rod that is not round, where the marks say so; None else."""
-    from doo_ti.refinement.adequacy import UNROUND
-
-    found = next((one for one in summary["advice"] if one["meaning"] == UNROUND and one["gain"] > DECISIVE), None)
-    return found and f"{UNROUND} explains the marks far better; the intervals are those of a round rod: give {found['option']}"
 
 
 def _curved(summary: dict) -> bool:

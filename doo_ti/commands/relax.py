@@ -92,14 +92,14 @@ def _summary(observations: Observations, grid: Grid, result: dict, out: Path) ->
 
 
 def _lines(observations: Observations, grid: Grid, result: dict, summary: dict) -> list[str]:
-    lines = [f"{observations.name}: {counted(observations.count, 'rod')} of {observations.edges} edges",
-             loading.rod_line(observations), f"  material    {results.theta_text(results.theta_of(grid), grid.is_isotropic)}",
-             f"  status      {results.status_text(summary['status'])}; {summary['stable']} certified stable"]
-    if np.isfinite(summary["mean_distance_mm"]):
-        lines.append(f"  distance    mean {summary['mean_distance_mm']:.4g} mm, largest {summary['largest_distance_mm']:.4g} "
-                     f"mm at observation {observations.labels[np.nanargmax(result['distance_mm'])]} (Eq. 1)")
-    lines += results.contact_lines(summary, observations.count)
-    if summary["infeasible_reason"]:
-        lines.append(f"  infeasible  {summary['infeasible_reason']}")
-    return [*lines, f"  iterations  median {summary['median_iterations']:.0f}, most {int(result['iterations'].max())}",
-            f"  written to {in_line(summary['out'])}"]
+    return [
+        f"{observations.name}: {counted(observations.count, 'rod')} of {observations.edges} edges",
+        loading.rod_line(observations), *results.rows(
+            ("material", results.theta_text(results.theta_of(grid), grid.is_isotropic)),
+            ("status", f"{results.status_text(summary['status'])}; {summary['stable']} certified stable"),
+            ("distance", np.isfinite(summary["mean_distance_mm"]) and
+             f"mean {summary['mean_distance_mm']:.4g} mm, largest {summary['largest_distance_mm']:.4g} mm at observation "
+             f"{observations.labels[np.nanargmax(result['distance_mm'])]} (Eq. 1)"),
+            results.contact_row(summary, observations.count), ("infeasible", summary["infeasible_reason"]),
+            ("iterations", f"median {summary['median_iterations']:.0f}, most {int(result['iterations'].max())}")),
+        f"  written to {in_line(summary['out'])}"]

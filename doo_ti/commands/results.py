@@ -28,9 +28,6 @@ def refuse_overwriting(out: Path, *sources: str | None, option: str = "--out") -
             raise InputError(given.SOURCE, option, f"{out} is the input itself", "name another file")
 
 
-RODS = (".npz", ".csv")  # suffixes of files of results
-
-
 def save_arrays(out: Path, arrays: dict[str, np.ndarray], axes: tuple[str, ...] = ("observation",)) -> None:
     """Write an npz, or by its suffix a CSV file with a row per vertex (:mod:`doo_ti.io.observation_tables`), whole or not;
     arrays that have no place in the table are named on standard error.
@@ -63,25 +60,25 @@ def in_newton(arrays: dict[str, np.ndarray], newtons: np.ndarray | None, axis: i
     return found
 
 
-def force_lines(arrays: dict[str, np.ndarray], axis: int) -> list[str]:
-    """The forces of far clamps and obstacles on rods in several moments, of ``arrays`` with forces in N."""
+def force_rows(arrays: dict[str, np.ndarray], axis: int) -> list[tuple[str, str]]:
+    """The forces of far clamps and obstacles on rods in several moments, of ``arrays`` with forces in N, for :func:`rows`."""
     if "end_force_N" not in arrays:
         return []
-    lines = []
+    found = []
     if "contact_force_N" in arrays:
         push = np.linalg.norm(np.nan_to_num(np.moveaxis(arrays["contact_force_N"], axis, 0)).sum(axis=-2), axis=-1)
         if push.max() > 0:
-            lines = [f"  force       obstacles exert {push.max():.3g} N on a rod in all at most, at moment "
-                     f"{np.unravel_index(push.argmax(), push.shape)[1]}; {push[:, -1].max():.3g} N at the end"]
+            found = [("force", f"obstacles exert {push.max():.3g} N on a rod in all at most, at moment "
+                               f"{np.unravel_index(push.argmax(), push.shape)[1]}; {push[:, -1].max():.3g} N at the end")]
     force = np.moveaxis(arrays["end_force_N"], axis, 0)
     size, last = np.linalg.norm(force, axis=-1), force[:, -1][np.isfinite(force[:, -1]).all(axis=-1)]
     if not last.any():
-        return lines
+        return found
     if len(last) == 1:
         ends = f"{np.linalg.norm(last):.3g} N ({', '.join(f'{value + 0:.3g}' for value in last[0])})"
     else:
         ends = " to ".join(f"{end(np.linalg.norm(last, axis=-1)):.3g}" for end in (np.min, np.max)) + " N"
-    return [f"  force       the far clamp exerts {ends} on the rod at the end, {np.nanmax(size):.3g} N at most", *lines]
+    return [("force", f"the far clamp exerts {ends} on the rod at the end, {np.nanmax(size):.3g} N at most"), *found]
 
 
 def save_json(out: Path, content) -> None:
@@ -172,15 +169,14 @@ def inside_reason(surroundings: Surroundings, clamps: Clamps, start: Configurati
     return None
 
 
-def contact_lines(summary: dict, rods: int) -> list[str]:
-    """:func:`contact_summary` as text."""
+def contact_row(summary: dict, rods: int) -> tuple[str, str | None]:
+    """:func:`contact_summary` as text, for :func:`rows`."""
     found = summary.get("contact")
     if found is None:
-        return []
+        return "contact", None
     gap = "" if np.isnan(found["smallest_gap_mm"]) else f"; smallest gap {found['smallest_gap_mm']:.2g} mm"
     at_end = f", {found['touching_at_end']} at the end" if "touching_at_end" in found else ""
-    return [f"  contact     {found['touching']} of {rods} rods touch an obstacle{at_end}{gap}; {found['infeasible']} "
-            "infeasible"]
+    return "contact", f"{found['touching']} of {rods} rods touch an obstacle{at_end}{gap}; {found['infeasible']} infeasible"
 
 
 def run_lines(result: dict) -> list[str]:

@@ -10,7 +10,7 @@ from tempfile import TemporaryDirectory
 
 from doo_ti.commands import options as given
 from doo_ti.commands.results import plain, report, run_lines, save_json, theta_of, theta_text
-from doo_ti.learning.cross_validation import FACTORS, Scores, check_comparable, cross_validate, partition, usual_factors
+from doo_ti.learning.cross_validation import FACTORS, check_comparable, cross_validate, partition, usual_factors
 from doo_ti.learning.landscape import Landscape, read_landscape
 from doo_ti.learning.score_table import caption, comma_separated, entries, file_stem, markdown, text
 from doo_ti.system.errors import InputError, InterruptedRunError
@@ -37,7 +37,7 @@ def declare(add) -> None:
     given.add(parser, "--out", "FOLDER", given.FOLDER, "folder to write", required=True)
     parser.add_argument("--by", choices=("end-distance",), dest="by_end_distance",
                         help="also draw a landscape for each end distance")
-    parser.add_argument("--cells", metavar="all|N", type=_cells, default=MOST_CELLS,
+    parser.add_argument("--cells", metavar="all|N", type=given.either({"all": None}, given.COUNT), default=MOST_CELLS,
                         help=f"how many cells of the grid to record, evenly spread (default: at most {MOST_CELLS})")
     given.add(parser, "--observation", "N", given.FROM_ZERO, "the observation whose ribbon is drawn in each regime (default: "
               "the one where the regimes differ most)")
@@ -50,11 +50,6 @@ def declare(add) -> None:
                        help="serve the viewer to a browser on this machine until Ctrl-C, instead of opening a window")
     given.add_file(shown, "--screenshot", "FILE.png",
                    "save a picture of the viewer, without a display (needs a Vulkan driver: docs/recording.md)")
-
-
-def _cells(option: str, text: str) -> int | None:
-    """How many cells to record at most; None: all."""
-    return None if text == "all" else given.COUNT(option, text)
 
 
 # --- learn ---------------------------------------------------------------------------------------------------------------
@@ -75,9 +70,16 @@ def run_learn(options: Namespace) -> int:
         tables = {by: [cross_validate(one) for one in found] for by, found in partitions.items()}
     every = [scores for found in tables.values() for scores in found]
     summary = plain({"runs": [_best_of(landscape) for landscape in landscapes],
-                     "tables": [_as_dict(scores) for scores in every]})
+                     "tables": [{
+                         "caption": caption(scores), "by": scores.partition.by, "within": scores.partition.within,
+                         "unlabelled": scores.partition.unlabelled, "training_error_mm": dict(zip(
+                             (part.label for part in scores.partition.parts), scores.training, strict=True)),
+                         "entries": entries(scores)} for scores in every]})
     if out is not None:
-        _write(out, summary, tables)
+        save_json(out / "learn.json", summary)
+        for by, found in tables.items():
+            write_text(out / f"{file_stem(by)}.csv", comma_separated(found))
+            write_text(out / f"{file_stem(by)}.md", "\n".join(markdown(scores) for scores in found))
 
     def lines() -> list[str]:
         found = [line for landscape in landscapes for line in run_lines(landscape.as_dict())]
@@ -98,21 +100,6 @@ def _best_of(landscape: Landscape) -> dict:
             "status": status, **landscape.competition}
 
 
-def _as_dict(scores: Scores) -> dict:
-    parts = scores.partition
-    return {"caption": caption(scores), "by": parts.by, "within": parts.within, "unlabelled": parts.unlabelled,
-            "training_error_mm": dict(zip((part.label for part in parts.parts), scores.training, strict=True)),
-            "entries": entries(scores)}
-
-
-def _write(out: Path, summary: dict, tables: dict[tuple[str, ...], list[Scores]]) -> None:
-    """learn.json, and for each partition a CSV and a Markdown file."""
-    save_json(out / "learn.json", summary)
-    for by, found in tables.items():
-        write_text(out / f"{file_stem(by)}.csv", comma_separated(found))
-        write_text(out / f"{file_stem(by)}.md", "\n".join(markdown(scores) for scores in found))
-
-
 # --- figures -------------------------------------------------------------------------------------------------------------
 
 
@@ -129,12 +116,6 @@ def run_figures(options: Namespace) -> int:
     files += record_cells(study, options.out)
     with busy("drawing ribbons"):
         files += draw_ribbons(study, options.out)
-    _report_figures(options, study, files)
-    return 0
-
-
-def _report_figures(options: Namespace, study, files: list[dict]) -> None:
-    """The files, and which cells were recorded where not all were."""
     names, cells, recorded = study.names, study.landscapes[0].grid.size, study.cells.grid.size
 
     def lines() -> list[str]:
@@ -147,6 +128,7 @@ def _report_figures(options: Namespace, study, files: list[dict]) -> None:
 
     report(options, {"runs": names, "cells": cells, "recorded_cells": recorded, "recorded_values": study.recorded_values,
                      "files": files}, lines)
+    return 0
 
 
 # --- view ----------------------------------------------------------------------------------------------------------------

@@ -94,7 +94,12 @@ def declare(add) -> None:
 
 
 def run(options: Namespace) -> int:
-    out, changes, up = options.out, _stepping(options), given.world_up(options)
+    out, up = options.out, given.world_up(options)
+    if options.tolerance is None:
+        given.refuse(options, ("most_substeps",), "given without --tolerance", "give both, or --substeps")
+    changes = {name: getattr(options, name) for name in ("substeps", "scheme", "precision", "tolerance", "most_substeps")}
+    changes["quasi_static"] = options.quasi_static or None
+    changes = {name: value for name, value in changes.items() if value is not None}  # fields of Stepping
     if Path(options.source).suffix == ".toml":
         found = _scene(options, changes, up)
     else:
@@ -115,16 +120,6 @@ def run(options: Namespace) -> int:
     _draw(found, options.picture, options.recording, options.animation)
     results.report(options, summary, lambda: _lines(found, summary, whole))
     return 0 if (found.status[:, -1] == Status.CONVERGED).any() else 1
-
-
-def _stepping(options: Namespace) -> dict:
-    """The fields of :class:`doo_ti.dynamics.parameters.Stepping` that the options give."""
-    if options.tolerance is None:
-        given.refuse(options, ("most_substeps",), "given without --tolerance", "give both, or --substeps")
-    found = {"substeps": options.substeps, "scheme": options.scheme, "precision": options.precision,
-             "tolerance": options.tolerance, "most_substeps": options.most_substeps,
-             "quasi_static": options.quasi_static or None}
-    return {name: value for name, value in found.items() if value is not None}
 
 
 def _recorded(options: Namespace, out: Path, changes: dict, up: np.ndarray) -> _Simulated:
@@ -247,7 +242,10 @@ def _results(found: _Simulated, out: Path) -> tuple[dict, dict]:
         summary |= results.contact_summary(found.surroundings, found.contact["contact_force"], gap, found.status)
     if found.step_error is not None:
         arrays["step_error_mm"] = found.step_error
-        summary |= _step_summary(found.names, found.substeps, found.step_error, found.tolerance)
+        used, rods = np.unique(found.substeps, return_counts=True)
+        summary |= {"substeps": {str(n): int(rod) for n, rod in zip(used, rods, strict=True)},
+                    "above_tolerance": int((~(found.step_error <= found.tolerance)).sum()),
+                    "step_error_mm": dict(zip(found.names, found.step_error, strict=True))}
     if found.recorded is not None:
         from doo_ti.dynamics.rollouts import mean_error
 
@@ -261,46 +259,31 @@ def _results(found: _Simulated, out: Path) -> tuple[dict, dict]:
 
 
 def _lines(found: _Simulated, summary: dict, arrays: dict) -> list[str]:
-    duration = (summary["frames"] - 1) / found.rate
-    lines = [f"{in_line(found.name)}: {counted(summary['rods'], 'rod')} of {summary['vertices'] - 1} edges, {duration:.3g} s "
-             f"at {found.rate:g} frames/s",
-             f"  status      {results.status_text(summary['status'])} at the end"]
-    if summary["failed"]:
-        lines.append(f"  failed      {results.listed(summary['failed'], MOST_LISTED)}: no positions from there on")
-        first = found.status.argmax(axis=1)
-        if found.contact and (found.status[np.arange(len(first)), first] == Status.INFEASIBLE).any():
-            lines.append("  infeasible  a gripper holds a rod in an obstacle, or moves it into one by more than its radius in "
-                         "a time step: check their places, or give more --substeps")
-    lines += [*results.contact_lines(summary, len(found.names)), *results.force_lines(arrays, 0)]
-    if found.contact:
-        work = found.contact["friction_work"][:, -1]
-        touch = found.contact["touch"][:, -1]
-        lines.append(f"  friction    takes {np.nanmin(work):.3g} to {np.nanmax(work):.3g} mm² in all; at the end "
-                     f"{(touch == Touch.STICKS).sum()} vertices stick, {(touch == Touch.SLIPS).sum()} slip")
-    lines += _step_lines(summary)
-    if found.recorded is not None:
-        lines.append(f"  error       mean {summary['mean_error_mm']:.4g} mm, median {summary['median_error_mm']:.4g} mm over "
-                     "recordings (mean |difference| over markers and coordinates, grippers' included)")
-        glitches = results.shortened(list(found.glitches), MOST_LISTED, "and {} more")
-        lines += [f"  glitch      {in_line(line)}" for line in glitches]
-    return [*lines, f"  written to {in_line(summary['out'])}"]
-
-
-def _step_summary(names: list[str], substeps: np.ndarray, error: np.ndarray, tolerance: float) -> dict:
-    """What the summaries say of the time steps (R,) of rods whose ``error`` (R,) was estimated."""
-    used, rods = np.unique(substeps, return_counts=True)
-    return {"substeps": {str(n): int(rod) for n, rod in zip(used, rods, strict=True)},
-            "above_tolerance": int((~(error <= tolerance)).sum()), "step_error_mm": dict(zip(names, error, strict=True))}
-
-
-def _step_lines(summary: dict) -> list[str]:
-    """:func:`_step_summary` as text; nothing without an estimate."""
-    if "step_error_mm" not in summary:
-        return []
-    error = np.array(list(summary["step_error_mm"].values()))
-    steps = ", ".join(f"{n} for {rods}" for n, rods in summary["substeps"].items())
-    return [f"  time steps  {steps} rods a frame; estimated error: median {np.median(error):.3g}, largest "
-            f"{error.max():.3g} mm, above the tolerance in {summary['above_tolerance']} rods"]
+    duration, error = (summary["frames"] - 1) / found.rate, found.step_error
+    steps = ", ".join(f"{n} for {rods}" for n, rods in summary.get("substeps", {}).items())
+    first = found.status.argmax(axis=1)
+    infeasible = found.contact and (found.status[np.arange(len(first)), first] == Status.INFEASIBLE).any()
+    work, touch = (found.contact[name][:, -1] if found.contact else None for name in ("friction_work", "touch"))
+    glitches = results.shortened(list(found.glitches), MOST_LISTED, "and {} more")
+    return [
+        f"{in_line(found.name)}: {counted(summary['rods'], 'rod')} of {summary['vertices'] - 1} edges, {duration:.3g} s at "
+        f"{found.rate:g} frames/s", *results.rows(
+            ("status", f"{results.status_text(summary['status'])} at the end"),
+            ("failed", summary["failed"] and f"{results.listed(summary['failed'], MOST_LISTED)}: no positions from there on"),
+            ("infeasible", infeasible and "a gripper holds a rod in an obstacle, or moves it into one by more than its radius "
+                                          "in a time step: check their places, or give more --substeps"),
+            results.contact_row(summary, len(found.names)), *results.force_rows(arrays, 0),
+            ("friction", found.contact and
+             f"takes {np.nanmin(work):.3g} to {np.nanmax(work):.3g} mm² in all; at the end {(touch == Touch.STICKS).sum()} "
+             f"vertices stick, {(touch == Touch.SLIPS).sum()} slip"),
+            ("time steps", error is not None and
+             f"{steps} rods a frame; estimated error: median {np.median(error):.3g}, largest {error.max():.3g} mm, above the "
+             f"tolerance in {summary['above_tolerance']} rods"),
+            ("error", found.recorded is not None and
+             f"mean {summary['mean_error_mm']:.4g} mm, median {summary['median_error_mm']:.4g} mm over recordings (mean "
+             "|difference| over markers and coordinates, grippers' included)"),
+            *(("glitch", in_line(line)) for line in glitches)),
+        f"  written to {in_line(summary['out'])}"]
 
 
 def _draw(found: _Simulated, picture: Path | None, recording: Path | None, animation: Path | None) -> None:

@@ -201,14 +201,26 @@ class Stiffness:
 def run_servo(options: Namespace) -> int:
     folder, rig, reached = options.out, image_options.rig(options), options.reached
     rod = steered_rod(options, [folder / name for name in (PATH, TABLE, PICTURE, RECORDING)])
-    unit = _unit(options, rod.material)
-    true, cameras = _true(options, rod.material, unit), _cameras(options, rig, rod)
+    density, weight, unit = options.linear_density, rod.material.weight[0], Stiffness(("bend", "twist"), "mm3", 1.0)
+    if density is None:
+        given.refuse(options, ("true_EI", "true_GJ"), "given without --linear-density", "give both")
+    elif weight > 0:
+        unit = Stiffness(("EI", "GJ"), "Nm2", float(stiffness(relative_stiffness(1.0, weight), density)))
+    bend = rod.material.bend[0, 0, 0, 0] if options.true_EI is None else options.true_EI / unit.factor
+    twist = rod.material.twist[0, 0] if options.true_GJ is None else options.true_GJ / unit.factor
+    true = Material(bend, twist, rod.material.weight, rod.material.rest_curvature)
+    cameras = _cameras(options, rig, rod)
     begin, steps, end = _steps(rod, true, cameras, rig, options.steps, reached)
 
     held = [begin, *(step.clamps for step in steps)]
     write_text(folder / PATH, path_table(ClampPath(np.arange(len(held), dtype=float), **{
         name: np.stack([getattr(clamps, name) for clamps in held]) for name in POSES})))
-    write_text(folder / TABLE, _table(steps, unit))
+    names = [f"{name}{bound}_{unit.unit}" for name in unit.names for bound in ("", "_low", "_high")]
+    write_text(folder / TABLE, csv_text(
+        ["step", "distance_mm", "estimated_mm", "status", "rod", "vertices_seen", "covered", *names], (
+            [number, step.true_mm, step.estimated_mm, STATUSES[step.status], HOW[step.seen.frame.how],
+             np.isfinite(step.seen.seen).all(axis=1).sum(), " ".join(step.seen.covered),
+             *(value for row in unit.of(step.learned) for value in row)] for number, step in enumerate(steps, 1))))
     distance = np.array([(step.true_mm, step.estimated_mm) for step in steps])
     servo_picture(folder / PICTURE, rod.observations.name, steps[0].seen.rod, end, rod.places[0], distance, reached,
                   rod.observations.up)
@@ -227,22 +239,6 @@ def run_servo(options: Namespace) -> int:
              f"{summary['status']}")
     report(options, summary, lambda: _lines(rod, steps, summary))
     return 0
-
-
-def _unit(options: Namespace, material: Material) -> Stiffness:
-    density = options.linear_density
-    if density is None:
-        given.refuse(options, ("true_EI", "true_GJ"), "given without --linear-density", "give both")
-    if density is None or not material.weight[0] > 0:
-        return Stiffness(("bend", "twist"), "mm3", 1.0)
-    return Stiffness(("EI", "GJ"), "Nm2", float(stiffness(relative_stiffness(1.0, material.weight[0]), density)))
-
-
-def _true(options: Namespace, material: Material, unit: Stiffness) -> Material:
-    """The material of the true rod."""
-    return Material(material.bend[0, 0, 0, 0] if options.true_EI is None else options.true_EI / unit.factor,
-                    material.twist[0, 0] if options.true_GJ is None else options.true_GJ / unit.factor, material.weight,
-                    material.rest_curvature)
 
 
 def _cameras(options: Namespace, rig: Rig, rod: SteeredRod) -> "VirtualCameras":
@@ -279,7 +275,11 @@ def _steps(rod: SteeredRod, true: Material, cameras: "VirtualCameras", rig: Rig,
         if not (state.converged & state.stable).all():
             raise InputError(given.SOURCE, "--true-EI", "the true rod has no stable equilibrium at the start",
                              "give another, or a rod that is held within its length")
-        _check_seen(state.configuration.vertices[0], rig)
+        vertices = state.configuration.vertices[0]
+        rig.check_sight(vertices, "the rod at its start")
+        if (seeing := sum(bool(camera.sees(vertices).all()) for camera in rig.cameras)) < 2:
+            raise InputError(rig.source, "cameras", f"{seeing} of {len(rig.cameras)} see all of the rod at its start",
+                             "let two or more look at it from different sides")
         chosen = ServoOptions(free=rod.free, reached_mm=reached,
                               noise_mm=TRACKED_NOISE * float(np.sum(rod.observations.rest_length)))
         servo = Servo(model.configuration, rod.material, begin, targets, chosen, up=up, **around)
@@ -295,23 +295,6 @@ def _steps(rod: SteeredRod, true: Material, cameras: "VirtualCameras", rig: Rig,
                               float(servo.distance[0]), int(servo.status[0]), servo.material))
             bar.update(shown, advance=1, description=f"steps: {STATUSES[steps[-1].status]}")
     return begin, steps, state.configuration.vertices[0]
-
-
-def _check_seen(vertices: np.ndarray, rig: Rig) -> None:
-    """Raise InputError unless two cameras see the rod when it begins."""
-    rig.check_sight(vertices, "the rod at its start")
-    if (seeing := sum(bool(camera.sees(vertices).all()) for camera in rig.cameras)) < 2:
-        raise InputError(rig.source, "cameras", f"{seeing} of {len(rig.cameras)} see all of the rod at its start",
-                         "let two or more look at it from different sides")
-
-
-def _table(steps: list[Step], unit: Stiffness) -> str:
-    """The steps as CSV."""
-    names = [f"{name}{bound}_{unit.unit}" for name in unit.names for bound in ("", "_low", "_high")]
-    return csv_text(["step", "distance_mm", "estimated_mm", "status", "rod", "vertices_seen", "covered", *names], (
-        [number, step.true_mm, step.estimated_mm, STATUSES[step.status], HOW[step.seen.frame.how],
-         np.isfinite(step.seen.seen).all(axis=1).sum(), " ".join(step.seen.covered),
-         *(value for row in unit.of(step.learned) for value in row)] for number, step in enumerate(steps, 1)))
 
 
 def _summary(steps: list[Step], unit: Stiffness, true: Material, written: list[Path]) -> dict:

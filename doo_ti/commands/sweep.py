@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 from doo_ti.commands import doubts, loading
 from doo_ti.commands import options as given
-from doo_ti.commands.results import hypotheses_lines, note_theta, plain, run_lines, theta_text
+from doo_ti.commands.results import hypotheses_lines, note_theta, plain, rows, run_lines, theta_text
 from doo_ti.io.scene import MOST_ROLLS, OBJECTIVES, Scene, Synthesis, load_scene
 from doo_ti.io.toml_file import scene_file
 from doo_ti.learning.chunks import SUMMARY
@@ -68,7 +68,15 @@ class _Search:
 
 
 def run_sweep(options: Namespace) -> int:
-    searches = _searches(options)
+    searches, out = [_search(options, source, options.out) for source in options.sources], options.out
+    if len(searches) > 1:  # each gets a folder below --out
+        names = [search.observations.name for search in searches]
+        if len(set(names)) < len(names):
+            twice = max(names, key=names.count)
+            raise InputError(given.SOURCE, "SOURCE", f"two of the name {twice!r}", "name the scenes or files apart")
+        if os.path.exists(out / "cells"):
+            raise InputError(out, "--out", "holds the sweep of a single source", "name another folder")
+        searches = [replace(search, run=out / name) for search, name in zip(searches, names, strict=True)]
     for search in searches:
         doubts.warn(search.observations, search.options.surroundings, **loading.stated(options))
 
@@ -89,7 +97,10 @@ def run_sweep(options: Namespace) -> int:
     if options.json:
         print(json.dumps(plain(summaries if len(options.sources) > 1 else summaries[0])))
     else:
-        print(_effort(relaxed, time.monotonic() - began))
+        rods, loads, relaxes = (sum(summary["timing"][name] for summary in relaxed)
+                                for name in ("relaxed_rods", "loading_s", "relaxation_s"))
+        work = f": {loads:.1f} s to load the kernels, {relaxes:.1f} s to relax ({rods / relaxes:,.0f} rods/s)" if rods else ""
+        print(f"{rods:,} rods in {time.monotonic() - began:.1f} s{work}")
     note_theta(options)
     return 0
 
@@ -97,21 +108,6 @@ def run_sweep(options: Namespace) -> int:
 def _stamp(run: Path) -> int | None:
     """The time at which the summary of a run was written."""
     return (run / SUMMARY).stat().st_mtime_ns if (run / SUMMARY).exists() else None
-
-
-def _searches(options: Namespace) -> list[_Search]:
-    """The sweeps to run, all checked before the first one starts; each of several sources gets a folder below --out."""
-    out = options.out
-    searches = [_search(options, source, out) for source in options.sources]
-    if len(searches) == 1:
-        return searches
-    names = [search.observations.name for search in searches]
-    if len(set(names)) < len(names):
-        twice = max(names, key=names.count)
-        raise InputError(given.SOURCE, "SOURCE", f"two of the name {twice!r}", "name the scenes or files apart")
-    if os.path.exists(out / "cells"):
-        raise InputError(out, "--out", "holds the sweep of a single source", "name another folder")
-    return [replace(search, run=out / name) for search, name in zip(searches, names, strict=True)]
 
 
 def _search(options: Namespace, source: str, run: Path) -> _Search:
@@ -136,7 +132,10 @@ def _search(options: Namespace, source: str, run: Path) -> _Search:
         observations = loading.with_ends_in_reach(observations, clamp_start, clamp_end)
     clamps = observation_clamps(observations, clamp_start, clamp_end)
     check_experiment(observations, clamps, grid.axes[-1].values[-1], frame_weight)
-    pairs = _pairs(options, scene, observations, objective)
+    if options.pairs is not None and objective != "dynamic":
+        raise InputError(given.SOURCE, "--pairs", "given, but the objective is static", "add --objective dynamic")
+    file = options.pairs or scene.pairs
+    pairs = load_pairs(Path(file), observations) if file is not None and objective == "dynamic" else None
 
     from doo_ti.learning.experiment import SOLVERS, SweepOptions
 
@@ -149,61 +148,33 @@ def _search(options: Namespace, source: str, run: Path) -> _Search:
 
 
 def _lines(search: _Search, summary: dict, finished_before: bool) -> list[str]:
-    first, *rest = run_lines(summary)
-    lines = [first, loading.rod_line(search.observations), *rest, *hypotheses_lines(summary, search.observations.labels)]
-    if doubt := loading.up_text(summary.get("other_up")):
-        lines.insert(2, f"  WARNING     {doubt}")
+    (first, *rest), best, grid, spins = run_lines(summary), summary["best"], search.grid, search.options.spins
     clamps = observation_clamps(search.observations, search.options.clamp_start, search.options.clamp_end)
-    rolls = search.grid.is_isotropic and Clamp.FRAME > min(clamps.start, clamps.end) and not search.options.spins
-    if search.density is not None and summary["best"]["weight"] > 0:
-        lines.append(_physical_line(search, summary["best"], rolls))
-    if search.options.spins:
-        lines.append(f"  note        rolls are tried in steps of {360 / search.options.spins:.3g}°: coarse steps narrow the "
-                     "range of the twist ratio, fine ones leave it open")
-    if rolls:
-        lines.append("  note        an end rolls freely, so nothing twists the rod: twist is not determined")
-    varied = {axis.name for axis in search.grid.axes if len(axis) > 1}
-    if "weight" in varied and len(varied) > 1 and not any(axis.name == "twist" and len(axis) == 1 for axis in search.grid.axes):
-        lines.append("  note        only ratios matter: shapes stay the same when stiffness and weight grow together, so the "
-                     "data do not determine both")
+    rolls = grid.is_isotropic and Clamp.FRAME > min(clamps.start, clamps.end) and not spins
+    names = {"EI": "bend_1"} if grid.is_isotropic else {"EI_1": "bend_1", "EI_2": "bend_2"}
+    physical = search.density is not None and best["weight"] > 0 and ", ".join(
+        f"{symbol} {stiffness(relative_stiffness(best[name], best['weight']), search.density):.4g} N m²"
+        for symbol, name in (names | ({} if rolls else {"GJ": "twist"})).items())
+    varied = {axis.name for axis in grid.axes if len(axis) > 1}
+    ratios = "weight" in varied and len(varied) > 1 and not any(axis.name == "twist" and len(axis) == 1 for axis in grid.axes)
+    lines = [
+        first, loading.rod_line(search.observations), *rows(("WARNING", loading.up_text(summary.get("other_up")))), *rest,
+        *hypotheses_lines(summary, search.observations.labels), *rows(
+            ("stiffness", physical and f"{physical} in the best cell"),
+            ("note", spins and f"rolls are tried in steps of {360 / spins:.3g}°: coarse steps narrow the range of the twist "
+                               "ratio, fine ones leave it open"),
+            ("note", rolls and "an end rolls freely, so nothing twists the rod: twist is not determined"),
+            ("note", ratios and "only ratios matter: shapes stay the same when stiffness and weight grow together, so the data "
+                                "do not determine both"))]
     if isinstance(search.scene.observations, Synthesis):
-        recipe = search.scene.observations
-        lines.append(f"  true Θ      {_true_theta(recipe)} (the virtual lab's, seed {recipe.seed})")
+        recipe, material = search.scene.observations, search.scene.observations.material()
+        (first_bend, mixed), (_, second) = material.bend[0, 0]
+        true = theta_text({"bend_1": first_bend, "bend_2": second, "bend_12": mixed, "twist": material.twist[0, 0],
+                           "weight": material.weight[0]}, material.is_isotropic)
+        lines.append(f"  true Θ      {true} (the virtual lab's, seed {recipe.seed})")
     lines.append(f"  {'finished before in' if finished_before else 'written to'} {in_line(search.run)}")
     if search.options.objective == "static" and not search.options.spins and not search.options.surroundings:
         swivels = rolls and Clamp.TANGENT > min(clamps.start, clamps.end)
         more = " --parameters bend" if swivels else "" if search.grid.is_isotropic else RIBBON_PARAMETERS
         lines.append(f"  intervals   doo-ti refine {in_line(shlex.quote(str(search.run)))}{more}")
     return lines
-
-
-def _physical_line(search: _Search, best: dict, rolls: bool) -> str:
-    """The best cell in N m²; without GJ where an end ``rolls`` freely."""
-    names = {"EI": "bend_1"} if search.grid.is_isotropic else {"EI_1": "bend_1", "EI_2": "bend_2"}
-    values = {symbol: stiffness(relative_stiffness(best[name], best["weight"]), search.density)
-              for symbol, name in (names | ({} if rolls else {"GJ": "twist"})).items()}
-    return f"  stiffness   {', '.join(f'{symbol} {value:.4g} N m²' for symbol, value in values.items())} in the best cell"
-
-
-def _effort(summaries: list[dict], seconds: float) -> str:
-    """``450,000 rods in 15.1 s, 29,800 rods/s; …``, of the rods relaxed now; none where all was finished before."""
-    rods, loading, relaxing = (sum(summary["timing"][name] for summary in summaries)
-                               for name in ("relaxed_rods", "loading_s", "relaxation_s"))
-    work = f": {loading:.1f} s to load the kernels, {relaxing:.1f} s to relax ({rods / relaxing:,.0f} rods/s)" if rods else ""
-    return f"{rods:,} rods in {seconds:.1f} s{work}"
-
-
-def _pairs(options: Namespace, scene: Scene, observations: Observations, objective: str) -> Pairs | None:
-    """The pairs of the command line's file, else of the scene's, else None."""
-    if options.pairs is not None and objective != "dynamic":
-        raise InputError(given.SOURCE, "--pairs", "given, but the objective is static", "add --objective dynamic")
-    file = options.pairs or scene.pairs
-    return load_pairs(Path(file), observations) if file is not None and objective == "dynamic" else None
-
-
-def _true_theta(synthesis: Synthesis) -> str:
-    """The true Θ of a simulated rod."""
-    material = synthesis.material()
-    (first, mixed), (_, second) = material.bend[0, 0]
-    return theta_text({"bend_1": first, "bend_2": second, "bend_12": mixed, "twist": material.twist[0, 0],
-                   "weight": material.weight[0]}, material.is_isotropic)

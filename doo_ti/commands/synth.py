@@ -131,8 +131,13 @@ def run(options: Namespace) -> int:
 
 def _photograph(options: Namespace, scene: Scene) -> None:
     """Render images; options are checked before the first rod is computed, views before the first image is written."""
+    from doo_ti.vision.render import RIG_FILE
+
     folder, look, seed = options.images, _look(options.render or []), options.seed or 0
-    rig, diameter = _rig(options, folder), options.diameter or DIAMETER_MM
+    if options.rig is None:
+        raise InputError(given.SOURCE, "--rig", "missing", "name the cameras' file, such as scenes/rig.yaml")
+    refuse_overwriting(folder / RIG_FILE, options.rig, option="--images")
+    rig, diameter = load_rig(options.rig), options.diameter or DIAMETER_MM
     if not isinstance(scene.observations, Synthesis):
         raise InputError(scene.source, "observations", "a file, which does not say how the rods lie between their marks",
                          "give a scene with [synthesis]")
@@ -147,16 +152,6 @@ def _photograph(options: Namespace, scene: Scene) -> None:
         shown = bar.add_task("photographs", total=len(rods.names), unit="sets")
         save_photographs(folder, photographs, on_set=lambda: bar.advance(shown))
     print(f"{len(rods.names)} sets of {len(rig.cameras)} images of {scene.name} written to {in_line(folder)}, seed {seed}")
-
-
-def _rig(options: Namespace, folder: Path):
-    """The cameras. Raises InputError where none are given, and where their file would be overwritten."""
-    from doo_ti.vision.render import RIG_FILE
-
-    if options.rig is None:
-        raise InputError(given.SOURCE, "--rig", "missing", "name the cameras' file, such as scenes/rig.yaml")
-    refuse_overwriting(folder / RIG_FILE, options.rig, option="--images")
-    return load_rig(options.rig)
 
 
 def _look(words: list[str]):

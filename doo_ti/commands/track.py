@@ -10,13 +10,11 @@ import numpy as np
 
 from doo_ti.commands import image_options
 from doo_ti.commands import options as given
-from doo_ti.commands.loading import read_rest_length
 from doo_ti.commands.perceive import LEAST_SIGMA_MM
-from doo_ti.commands.results import listed, refuse_overwriting, report, save_arrays
-from doo_ti.contact.surroundings import Surroundings
+from doo_ti.commands.results import listed, refuse_overwriting, report, rows, save_arrays
 from doo_ti.io.arrays import read_csv
 from doo_ti.io.motion_file import load_path
-from doo_ti.rod.types import Clamp, Clamps, Material
+from doo_ti.rod.types import Clamp, Clamps
 from doo_ti.system.arguments import counted
 from doo_ti.system.errors import InputError, InterruptedRunError
 from doo_ti.system.terminal import can_record, in_line, progress, warn
@@ -28,19 +26,12 @@ LEAST_SHOWN = 0.01  # px: smaller errors are less than the noise of the smoothed
 
 
 @dataclass(frozen=True)
-class TrackingTask:
+class TrackingTask(image_options.SeenRods):
     """The inputs of tracking: T frames with a seed for each, or with clicks in some, and the T − 1 motions of the far clamp
     between them, if known."""
 
-    frames: object  # ImageSets
     time: np.ndarray | None
-    rest_length: np.ndarray | None  # None: that of the thread in the first frame, within ``length_bounds``
-    length_bounds: image_options.LengthBounds
-    material: Material
-    sight: object  # Sight
-    up: np.ndarray
     far: list | None  # of Motion
-    surroundings: Surroundings
 
 
 def declare(add) -> None:
@@ -66,7 +57,7 @@ def run(options: Namespace) -> int:
     result = _arrays(task, rest_length, found)
     save_arrays(out, result)
     if problem is not None:
-        raise InterruptedRunError(f"{problem}; {len(found)} of {task.frames.count} frames are kept in {out}; the same command "
+        raise InterruptedRunError(f"{problem}; {len(found)} of {task.sets.count} frames are kept in {out}; the same command "
                                   "starts from the first frame; or track the other frames as a video of their own, with the "
                                   "seed in its first line")
     written = [out]
@@ -74,7 +65,7 @@ def run(options: Namespace) -> int:
         from doo_ti.record.images import record_track
 
         written.append(out.with_suffix(".rrd"))
-        record_track(written[-1], run_id=f"track {out.name}", name=out.stem, rig=task.frames.rig, paths=task.frames.paths,
+        record_track(written[-1], run_id=f"track {out.name}", name=out.stem, rig=task.sets.rig, paths=task.sets.paths,
                      vertices=result["vertices_mm"], error=result["camera_error_px"], how=result["how"], up=task.up)
     summary = _summary(task, found, result, written)
     report(options, summary, lambda: _lines(summary))
@@ -83,17 +74,10 @@ def run(options: Namespace) -> int:
 
 def tracking_task(options: Namespace) -> TrackingTask:
     """Raises InputError naming the option or file at fault."""
-    image_options.guess_stiffness(options)
-    grid, up = given.round_cell(options, "tracked"), given.world_up(options)
-    rest_length = None if options.rest_length is None else read_rest_length(options.rest_length)
-    surroundings = given.surroundings(options)
-    rig = image_options.rig(options)
-    frames, time = load_frames(Path(options.frames), rig, lambda rig: image_options.clicked(options, rig))
-    if rest_length is not None and frames.direction is not None:
-        frames.rig.check_sight(frames.point + rest_length.min() * frames.direction, "the first edge")
-    far = None if options.motion is None else _far_motions(Path(options.motion), frames.count)
-    bounds, sight = image_options.length_bounds(options), image_options.sight(options, frames)
-    return TrackingTask(frames, time, rest_length, bounds, grid.materials(), sight, up, far, surroundings)
+    seen, time = image_options.seen_rods(options, "tracked", lambda rig: load_frames(
+        Path(options.frames), rig, lambda rig: image_options.clicked(options, rig)))
+    far = None if options.motion is None else _far_motions(Path(options.motion), seen.sets.count)
+    return TrackingTask(**vars(seen), time=time, far=far)
 
 
 def load_frames(path: Path, rig, clicks_of=lambda rig: {}):
@@ -157,7 +141,7 @@ def _tracked(task: TrackingTask) -> tuple[np.ndarray, list, str | None]:
     from doo_ti.perception.perceive import PerceptionVerdict
     from doo_ti.perception.tracking import Tracker
 
-    frames, rest_length, known, problem = task.frames, task.rest_length, None, None
+    frames, rest_length, known, problem = task.sets, task.rest_length, None, None
     found, starts, sigma, seen = [], [], [], []
     try:
         with progress() as bar:
@@ -217,7 +201,7 @@ def _begun(task: TrackingTask, row: int, detected: list, before: _Start | None, 
     InputError where no thread can be followed."""
     from doo_ti.perception.seeds import seed_from_pixels, whole_threads
 
-    frames, direction, sigma = task.frames, None, 0.0
+    frames, direction, sigma = task.sets, None, 0.0
     source = f"{frames.source}: {in_line(frames.names[row])}"
     if frames.point is None:
         try:
@@ -246,7 +230,7 @@ def _arrays(task: TrackingTask, rest_length: np.ndarray, found: list) -> dict[st
             "stable": "stable", "how": "how", "verdict": "verdict"}
     time = {} if task.time is None else {"time_s": task.time[: len(found)]}
     return {
-        "name": np.array(task.frames.names[: len(found)]), **time, "rest_length_mm": rest_length, "up": task.up,
+        "name": np.array(task.sets.names[: len(found)]), **time, "rest_length_mm": rest_length, "up": task.up,
         **{key: np.array([getattr(frame, name) for frame in found]) for key, name in fields.items()},
         "sigma_mm": np.maximum([frame.sigma for frame in found], LEAST_SIGMA_MM),
     }
@@ -258,7 +242,7 @@ def _summary(task: TrackingTask, found: list, result: dict, written: list[Path])
 
     how, error, lengths = (result[name] for name in ("how", "camera_error_px", "rest_length_mm"))
     return {
-        "frames": len(how), "cameras": task.frames.rig.names, "edges": len(lengths), "length_mm": lengths.sum(),
+        "frames": len(how), "cameras": task.sets.rig.names, "edges": len(lengths), "length_mm": lengths.sum(),
         **{each.name.lower(): result["name"][how == each] for each in How},
         "verdicts": {each.name.lower(): result["name"][(how < How.LOST) & (result["verdict"] == each)]
                      for each in PerceptionVerdict if each != PerceptionVerdict.NOT_FOUND},
@@ -267,39 +251,33 @@ def _summary(task: TrackingTask, found: list, result: dict, written: list[Path])
         "stable": result["stable"].sum(), "uncertain": result["name"][result["sigma_mm"][:, 0] > CERTAIN_MM],
         "camera_error_px": error[np.isfinite(error)].mean() if (how < How.LOST).any() else None,
         "orientation": image_options.orientation_note(
-            (path for line in task.frames.paths for path in line), task.frames.rig.cameras[0].turned),
+            (path for line in task.sets.paths for path in line), task.sets.rig.cameras[0].turned),
         "written": [str(path) for path in written],
     }
-
-
-def _named(key: str, names: np.ndarray, words: str, every: bool = False) -> str:
-    """A line of the printout: how many frames, and their ``names``, or "all" where they are ``every`` frame of the video."""
-    named = f": {'all' if every else listed(names, MOST_LISTED)}" * bool(len(names))
-    return f"  {key:<11} {counted(len(names), 'frame')} {words}{named}"
 
 
 def _lines(summary: dict) -> list[str]:
     from doo_ti.perception.perceive import CERTAIN_MM
 
-    lines = [f"{summary['frames']} frames of {len(summary['cameras'])} images, a rod of {summary['edges']} edges, "
-             f"{summary['length_mm']:.4g} mm long",
-             f"  tracked     {len(summary['tracked'])} frames, each from the one before"]
-    verdicts, doubts, uncertain = summary["verdicts"], summary["doubts"], summary["uncertain"]
-    lines += [_named("seeded", summary["seeded"], "by Algorithm 1"),
-              _named("lost", summary["lost"], "in which the rod is lost")]
-    if len(uncertain):
-        lines.append(_named("uncertain", uncertain, f"whose start is uncertain by {CERTAIN_MM:g} to "
-                            f"{summary['start_sigma_mm']:.2g} mm, or off the thread; click there, in two cameras",
-                            every=len(uncertain) == summary["frames"]))
-    if len(verdicts["ambiguous"]):
-        lines.append(_named("ambiguous", verdicts["ambiguous"], "whose rod may well be another one"))
-    if doubts:
-        lines.append(f"  doubts      {len(verdicts['clear'])} frames are clear; of others: "
-                     + ", ".join(f"{doubt} in {count}" for doubt, count in sorted(doubts.items(), key=lambda one: -one[1])))
-    if summary["camera_error_px"] is not None:
-        off = summary["camera_error_px"]
-        lines.append(f"  images      {f'{off:.2f}' if off >= LEAST_SHOWN else f'less than {LEAST_SHOWN}'} px off on average; "
-                     f"{summary['stable']} rods at certified minima of E_vis")
-    if summary["orientation"]:
-        lines.append(f"  orientation {summary['orientation']}")
-    return lines + [f"  written to  {in_line(path)}" for path in summary["written"]]
+    def frames(names: np.ndarray, words: str, every: bool = False) -> str:
+        """How many frames, and their ``names``, or "all" where they are ``every`` frame of the video."""
+        named = f": {'all' if every else listed(names, MOST_LISTED)}" * bool(len(names))
+        return f"{counted(len(names), 'frame')} {words}{named}"
+
+    verdicts, doubts, uncertain, off = (summary[name] for name in ("verdicts", "doubts", "uncertain", "camera_error_px"))
+    of_others = ", ".join(f"{doubt} in {count}" for doubt, count in sorted(doubts.items(), key=lambda one: -one[1]))
+    return [
+        f"{summary['frames']} frames of {len(summary['cameras'])} images, a rod of {summary['edges']} edges, "
+        f"{summary['length_mm']:.4g} mm long",
+        *rows(
+            ("tracked", f"{len(summary['tracked'])} frames, each from the one before"),
+            ("seeded", frames(summary["seeded"], "by Algorithm 1")),
+            ("lost", frames(summary["lost"], "in which the rod is lost")),
+            ("uncertain", len(uncertain) and frames(
+                uncertain, f"whose start is uncertain by {CERTAIN_MM:g} to {summary['start_sigma_mm']:.2g} mm, or off the "
+                "thread; click there, in two cameras", every=len(uncertain) == summary["frames"])),
+            ("ambiguous", len(verdicts["ambiguous"]) and frames(verdicts["ambiguous"], "whose rod may well be another one")),
+            ("doubts", doubts and f"{len(verdicts['clear'])} frames are clear; of others: {of_others}"),
+            ("images", off is not None and f"{f'{off:.2f}' if off >= LEAST_SHOWN else f'less than {LEAST_SHOWN}'} px off on "
+                                           f"average; {summary['stable']} rods at certified minima of E_vis"),
+            ("orientation", summary["orientation"]), *(("written to", in_line(path)) for path in summary["written"]))]

@@ -79,7 +79,10 @@ def run_twist(options: Namespace) -> int:
     if out.suffix == ".npz":
         results.save_arrays(out, result)
     else:
-        write_whole(out, lambda file: write_columns(file, _columns(observations, result)))
+        # A row per observation, with the values of its group.
+        own = {name: result[name] for name in ("group", "offset_deg", "total_twist_deg")}
+        shared = {name: result[name][result["group"]] for name in ("phi_deg", "least_mm", "verdict", "low_deg", "high_deg")}
+        write_whole(out, lambda file: write_columns(file, {"observation": observations.labels, **own, **shared}))
     if options.picture is not None:
         _draw(options.picture, observations, estimate)
     summary = _summary(observations, grid, estimate, result, out)
@@ -96,13 +99,6 @@ def _arrays(estimate) -> dict[str, np.ndarray]:
         "minima_mm": estimate.minima_objective, "unsound": estimate.unsound, "group": estimate.group,
         "offset_deg": np.degrees(estimate.offset), "total_twist_deg": np.degrees(estimate.total_twist),
     }
-
-
-def _columns(observations: Observations, result: dict) -> dict[str, np.ndarray]:
-    """What a CSV file holds of them: a row per observation, with the values of its group."""
-    own = {name: result[name] for name in ("group", "offset_deg", "total_twist_deg")}
-    shared = {name: result[name][result["group"]] for name in ("phi_deg", "least_mm", "verdict", "low_deg", "high_deg")}
-    return {"observation": observations.labels, **own, **shared}
 
 
 def _rows(observations: Observations, estimate, group: int) -> str:

@@ -114,7 +114,13 @@ def read_arrays(path: Path, known: dict[str, tuple[tuple[int, ...], tuple[str, .
     Raises InputError for files that cannot be read, unknown columns, entries that are not finite numbers, and where none of
     the known keys is there.
     """
-    return checked_arrays(path, _from_table(path, known)) if path.suffix == ".csv" else read_numbers(path, tuple(known))
+    if path.suffix != ".csv":
+        return read_numbers(path, tuple(known))
+    columns = tuple(name for _, owned in known.values() for name in owned)
+    table = read_csv(path, (), columns, form=f"some of {', '.join(columns)}")
+    given = {key: given_columns(path, owned, table.columns) for key, (_, owned) in known.items()}
+    return checked_arrays(path, {key: np.stack([table.numbers(name) for name in names], axis=-1).reshape(
+        table.count, *known[key][0]) for key, names in given.items() if names})
 
 
 def read_numbers(path: Path, known: tuple[str, ...]) -> dict[str, np.ndarray]:
@@ -134,14 +140,6 @@ def checked_arrays(path: Path, arrays: dict[str, np.ndarray]) -> dict[str, np.nd
         if not (np.abs(value) <= LARGEST).all():
             raise InputError(path, key, "not finite", "give finite numbers")
     return arrays
-
-
-def _from_table(path: Path, known) -> dict[str, np.ndarray]:
-    columns = tuple(name for _, owned in known.values() for name in owned)
-    table = read_csv(path, (), columns, form=f"some of {', '.join(columns)}")
-    given = {key: given_columns(path, owned, table.columns) for key, (_, owned) in known.items()}
-    return {key: np.stack([table.numbers(name) for name in names], axis=-1).reshape(table.count, *known[key][0])
-            for key, names in given.items() if names}
 
 
 def given_columns(path: Path, columns: tuple[str, ...], names) -> tuple[str, ...]:
@@ -202,7 +200,10 @@ class CsvTable:
 
     def numbers(self, name: str, *, may_be_empty: bool = False) -> np.ndarray:
         """(N,) f64: the finite numbers of a column; NaN where it may be empty and is. Raises InputError for anything else."""
-        values = np.array([_number(cell, may_be_empty, self.decimal) for cell in self.columns[name]])
+        cells = self.columns[name]
+        if may_be_empty:
+            cells = ["nan" if cell.lower() in EMPTY else TRUTH.get(cell.lower(), cell) for cell in cells]
+        values = np.array([number_in(cell, self.decimal) for cell in cells])
         allowed = np.isfinite(values) | (np.isnan(values) if may_be_empty else False)
         self.refuse(name, ~allowed, "is not a finite number", "give decimal numbers")
         return values
@@ -220,13 +221,6 @@ class CsvTable:
         broken = (values != np.round(values)) | (np.abs(values) >= 2**53)
         self.refuse(name, broken, "is not a whole number", "give whole numbers")
         return values.astype(np.int64)
-
-
-def _number(cell: str, may_be_empty: bool, decimal: str) -> float:
-    """The number in a cell, NaN where it is missing and may be, infinity where there is none."""
-    if may_be_empty and cell.lower() in EMPTY:
-        return np.nan
-    return number_in(TRUTH.get(cell.lower(), cell) if may_be_empty else cell, decimal)
 
 
 def number_in(cell: str, decimal: str = ".") -> float:
@@ -292,7 +286,10 @@ def csv_rows(path: Path, content: bytes, remedy: str) -> tuple[list[tuple[int, l
     at the top that begin with # are left out."""
     try:
         text = decoded(content)
-        separator = _separator(text)
+        # What separates the cells, by the first line that has several.
+        unquoted = (_QUOTED.sub("", line) for line in StringIO(text))
+        first = next((line for line in unquoted if any(sign in line for sign in SEPARATORS)), ",")
+        separator = max(SEPARATORS, key=first.count)
         reader = csv.reader(StringIO(text, newline=""), strict=True, delimiter=separator)
         ends = [(reader.line_num, row) for row in reader]  # the line on which each row ends
     except (UnicodeDecodeError, csv.Error) as error:
@@ -304,12 +301,3 @@ def csv_rows(path: Path, content: bytes, remedy: str) -> tuple[list[tuple[int, l
         ends = ends[1:]
     comments = next((k for k, (_, row) in enumerate(ends) if not "".join(row).lstrip().startswith("#")), 0)
     return ends[comments:], "," if separator != "," and _WITH_COMMA.search(text) else "."
-
-
-def _separator(text: str) -> str:
-    """What separates the cells, by the first line that has several."""
-    for line in StringIO(text):
-        unquoted = _QUOTED.sub("", line)
-        if any(sign in unquoted for sign in SEPARATORS):
-            return max(SEPARATORS, key=unquoted.count)
-    return ","

@@ -229,8 +229,10 @@ def load_path(path: str | Path, unit: str | None = None, named: Mapping[str, str
         return _of_positions(path, arrays, rate)
     for end, axis in zip(("start", "end"), axes, strict=True):
         tool = arrays.pop(f"{end}_orientation", None)
-        if tool is not None:
-            arrays[f"{end}_frame"] = _along_rod(tool, axis)
+        if tool is not None:  # whose axis points along the rod; m1 is the axis after it
+            number, sign = TOOL_AXES[axis]
+            t, m1 = sign * tool[..., number], tool[..., (number + 1) % 3]
+            arrays[f"{end}_frame"] = np.stack([t, m1, np.cross(t, m1)], axis=-1)
         if turn is not None and f"{end}_frame" in arrays:
             arrays[f"{end}_frame"] = turn @ arrays[f"{end}_frame"]
     if not arrays.keys() - {"time_s"}:
@@ -257,13 +259,6 @@ def _read(path: Path, named: Mapping[str, str] | None) -> tuple[dict[str, np.nda
                 raise InputError(path, key, f"shape {arrays[key].shape}", f"make it {(count, *SHAPES[key])}: T moments")
         put_frames(path, arrays, "orientation")
     return arrays, {}
-
-
-def _along_rod(tool: np.ndarray, axis: str) -> np.ndarray:
-    """(T, 3, 3) frames t, m1, m2 of tools (T, 3, 3) whose ``axis`` points along the rod; m1 is the axis after it."""
-    number, sign = TOOL_AXES[axis]
-    t, m1 = sign * tool[..., number], tool[..., (number + 1) % 3]
-    return np.stack([t, m1, np.cross(t, m1)], axis=-1)
 
 
 def _of_positions(path: Path, arrays: dict[str, np.ndarray], rate: np.ndarray | None) -> ClampPath:

@@ -65,17 +65,15 @@ def read_keys(path: Path, columns=None) -> tuple[bytes, dict[str, np.ndarray]]:
     if path.suffix == ".npz":
         if columns is not None:
             raise InputError(path, "columns", "an npz has keys", "leave `columns` out")
-        keys = _labelled(read_npz(path, content, (*KEYS_IN_TABLES, LABELS, *NAMES)))
+        keys = read_npz(path, content, (*KEYS_IN_TABLES, LABELS, *NAMES))
+        lists = [keys.pop(key) for key in NAMES if key in keys]
+        names = next((one for one in lists if one.dtype.kind == "U" and one.ndim == 1), None)
+        if names is not None:  # what messages call the observations
+            keys.setdefault(LABELS, names)
     else:
         keys = read_table(path, content, _renamed(path, columns))
     put_frames(path, keys, "frame")  # of grippers whose x axis points along the rod
     return content, keys
-
-
-def _labelled(keys: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """``keys`` of an npz, in which a list of names in NAMES is what messages call its observations."""
-    lists = [names for names in (keys.pop(key) for key in NAMES if key in keys) if names.dtype.kind == "U" and names.ndim == 1]
-    return {LABELS: lists[0]} | keys if lists else keys
 
 
 def read_curves(path: Path, columns=None) -> Curves | None:
@@ -137,21 +135,20 @@ def load_observations(path: str | os.PathLike[str], up: ArrayLike | None = None,
         if "total_twist" in values and values["total_twist"].dtype.kind != "b":
             values["total_twist"] = np.radians(values["total_twist"].astype(np.float64))
         if unit is not None:
-            values = _in_mm(values, keys.get("unit", 1.0), unit)
+            factor = mm_in(unit, "load_observations") / keys.get("unit", 1.0)
+            values |= {name: value * factor for name, value in values.items() if name in LENGTHS and value.dtype.kind != "b"}
     if "vertices_mm" not in keys:
         raise InputError(path, "vertices_mm", "the key is missing", "store the vertices as vertices_mm (D, V, 3)")
     if without_lost:
         values = _without_lost(values)
     observations = Observations(**values, name=in_line(path.stem), source=str(path), sha256=hashlib.sha256(content).hexdigest())
     if observations.total_twist is not None:
-        _check_turns(observations)
+        most, degrees = 180.0 * (observations.edges - 1), np.degrees(observations.total_twist)  # half a turn at each joint
+        bad = np.flatnonzero(np.abs(degrees) > most * (1.0 + 1e-12))
+        if len(bad):
+            hint = f"{degrees[bad[0]]:g} of observation {observations.labels[bad[0]]}"
+            raise InputError(path, "total_twist_deg", hint, f"give degrees; {observations.edges} edges hold at most {most:g}")
     return observations if up is None else replace(observations, up=np.asarray(up))
-
-
-def _in_mm(values: dict, read_as: float, unit: str) -> dict:
-    """``values`` with all lengths taken to be in ``unit``; they were read as ``read_as`` mm."""
-    factor = mm_in(unit, "load_observations") / read_as
-    return {name: value * factor if name in LENGTHS and value.dtype.kind != "b" else value for name, value in values.items()}
 
 
 def _without_lost(values: dict) -> dict:
@@ -168,17 +165,6 @@ def _without_lost(values: dict) -> dict:
         return values
     values = {"labels": np.arange(count)} | values
     return {name: value if name in whole or not value.ndim else value[enough] for name, value in values.items()}
-
-
-def _check_turns(observations: Observations) -> None:
-    """Raise InputError for a total twist above half a turn at each joint."""
-    most = 180.0 * (observations.edges - 1)
-    degrees = np.degrees(observations.total_twist)
-    bad = np.flatnonzero(np.abs(degrees) > most * (1.0 + 1e-12))
-    if len(bad):
-        hint = f"{degrees[bad[0]]:g} of observation {observations.labels[bad[0]]}"
-        raise InputError(observations.source, "total_twist_deg", hint,
-                         f"give degrees; {observations.edges} edges hold at most {most:g}")
 
 
 @typed

@@ -79,8 +79,11 @@ def read_table(path: Path, content: bytes, renamed: dict[str, str] | None = None
     count = len(columns[_POSITION[0]])
     columns.setdefault("observation", np.zeros(count))
     in_order = "vertex" not in columns
-    if in_order:
-        columns["vertex"] = _counted(columns["observation"])
+    if in_order:  # how many rows before have the same label
+        order = np.argsort(columns["observation"], kind="stable")
+        firsts = np.searchsorted(columns["observation"][order], columns["observation"][order])
+        columns["vertex"] = np.empty(count)
+        columns["vertex"][order] = np.arange(count) - firsts
     rows = {}
     for name in ("observation", "vertex"):
         rows[name] = values = columns[name]
@@ -99,11 +102,14 @@ def read_table(path: Path, content: bytes, renamed: dict[str, str] | None = None
     for key, (owner, value_shape, names) in KEYS_IN_TABLES.items():
         if given_columns(path, names, columns):
             values = np.stack([np.where(row < 0, np.nan, columns[name][row]) for name in names], axis=-1)
-            values = _of_owner(path, key, owner, values, labels)
+            if owner == "edge":
+                values = values[:, :-1]
+            elif owner == "observation":
+                values = _agreed(path, key, values, 1, labels)
             keys[key] = values.reshape((*values.shape[:-1], *value_shape))
     for key in _SHARED:
         if key in keys:
-            keys[key] = _agreed(path, key, keys[key], labels)
+            keys[key] = _agreed(path, key, keys[key], 0, labels)
     if "valid" in keys:
         unseen = np.isnan(keys["vertices_mm"]).any(axis=-1) & np.isnan(keys["valid"])
         keys["valid"] = np.where(unseen, 0.0, keys["valid"])
@@ -121,15 +127,6 @@ def write_table(file: BinaryIO, suffix: str, keys: dict[str, np.ndarray]) -> Non
         labels = np.arange(count)
     columns, _ = _of_vertices({key: keys[key] for key in KEYS_IN_TABLES if key in keys}, ("observation",))
     write_columns(file, columns | {"observation": np.repeat(labels, marks)}, suffix)
-
-
-def _counted(labels: np.ndarray) -> np.ndarray:
-    """(N,) how many rows before this one have its label."""
-    order = np.argsort(labels, kind="stable")
-    firsts = np.searchsorted(labels[order], labels[order])
-    count = np.empty(len(labels))
-    count[order] = np.arange(len(labels)) - firsts
-    return count
 
 
 def _named(path: Path, names, renamed: dict[str, str]) -> dict[str, tuple[str, float]]:
@@ -188,28 +185,22 @@ def _parquet_columns(path: Path, content: bytes, renamed) -> tuple[dict[str, np.
         table = file.read(list({column for column, _ in named.values()}))
     except (pyarrow.ArrowException, OSError, UnicodeDecodeError) as error:
         raise InputError(path, "file", f"is not a Parquet table ({first_line(error)})", "write one row per vertex") from None
-    return ({name: factor * _parquet_numbers(path, column, table.column(column)) if name != "observation"
-             else _parquet_labels(path, column, table.column(column)) for name, (column, factor) in named.items()},
+    values = {name: _parquet_values(path, column, table.column(column), name == "observation")
+              for name, (column, _) in named.items()}
+    return ({name: own if own.dtype.kind == "U" else named[name][1] * own for name, own in values.items()},
             lambda row: f"row {row + 1}", named[_POSITION[0]][1])
 
 
-def _parquet_labels(path: Path, name: str, column) -> np.ndarray:
-    """(N,) texts of a pyarrow column that has one in every row, else its numbers."""
-    import pyarrow.types as types
-
-    if (types.is_string(column.type) or types.is_large_string(column.type)) and not column.null_count:
-        return np.array(column.to_pylist())
-    return _parquet_numbers(path, name, column)
-
-
-def _parquet_numbers(path: Path, name: str, column) -> np.ndarray:
-    """(N,) f64 of a pyarrow column, NaN where it is empty."""
+def _parquet_values(path: Path, name: str, column, texts: bool) -> np.ndarray:
+    """(N,) f64 of a pyarrow column, NaN where it is empty; or its ``texts``, if it may have them and has one in every row."""
     import pyarrow.types as types
 
     kind = column.type
     if types.is_null(kind):
         return np.full(len(column), np.nan)
     if types.is_string(kind) or types.is_large_string(kind):
+        if texts and not column.null_count:
+            return np.array(column.to_pylist())
         raise InputError(path, name, f"numbers stored as text, {column[0].as_py()!r} in row 1", "store numbers")
     if not (types.is_integer(kind) or types.is_floating(kind) or types.is_boolean(kind)):
         raise InputError(path, name, f"type {kind} is not numeric", "store numbers")
@@ -239,33 +230,18 @@ def _rows_of(path, observation: np.ndarray, vertex: np.ndarray) -> tuple[np.ndar
     return labels, row.reshape(len(labels), marks)
 
 
-def _of_owner(path, key: str, owner: str, values: np.ndarray, labels: np.ndarray) -> np.ndarray:
-    """(D, V, n) cells of the table to the values of the owners, each kept once."""
-    if owner == "vertex":
-        return values
-    if owner == "edge":
-        return values[:, :-1]
-    first, differs = _first_along(values, 1)
-    if len(differs):
-        d, v, _ = differs[0]
-        raise InputError(path, key, f"observation {labels[d]} has another value at vertex {v} than before",
-                         "repeat the observation's value, or leave the other rows empty")
-    return first[:, 0]
-
-
-def _first_along(values: np.ndarray, axis: int) -> tuple[np.ndarray, np.ndarray]:
-    """The first value along an axis that is not NaN, and where others differ from it."""
+def _agreed(path, key: str, values: np.ndarray, axis: int, labels: np.ndarray) -> np.ndarray:
+    """The value that all rows of an observation share, along axis 1, or all observations, along axis 0; NaN where none has one.
+    Raises InputError where they differ."""
     first = np.take_along_axis(values, np.expand_dims(np.argmin(np.isnan(values), axis=axis), axis), axis=axis)
-    return first, np.argwhere((values != first) & ~np.isnan(values))
-
-
-def _agreed(path, key: str, values: np.ndarray, labels: np.ndarray) -> np.ndarray:
-    """The value that all observations share; NaN where none has one."""
-    first, differs = _first_along(values, 0)
+    differs = np.argwhere((values != first) & ~np.isnan(values))
+    if len(differs) and axis == 1:
+        raise InputError(path, key, f"observation {labels[differs[0][0]]} has another value at vertex {differs[0][1]} than "
+                         "before", "repeat the observation's value, or leave the other rows empty")
     if len(differs):
         raise InputError(path, key, f"observation {labels[differs[0][0]]} has another value than those before",
                          "give the same value in all observations of a file")
-    return first[0]
+    return first.take(0, axis=axis)
 
 
 POSITIONS = ("vertices_mm", "positions_mm")

@@ -215,34 +215,26 @@ def load_scene(path: str | os.PathLike[str]) -> Scene:
     if file.pairs and file.objective != "dynamic":
         raise InputError(path, "pairs", "given, but the objective is static", 'give objective = "dynamic" too')
     if file.synthesis is not None:
-        observations = _synthesis(path, name, file.synthesis)
+        known = [field.name for field in fields(Synthesis) if field.name not in ("name", "source")]
+        for key in file.synthesis:
+            if key not in known:
+                raise unknown_key(path, f"synthesis.{key}", known)
+        for key in ("bend", "twist"):
+            if key not in file.synthesis:
+                raise InputError(path, f"synthesis.{key}", "missing", f"give the rod's {key} in mm³")
+        observations = Synthesis(**file.synthesis, name=name, source=str(path))
     else:
         observations = path.parent / checked(path, "observations", file.observations, _ObservationsTable).file
+    for axis in file.grid:
+        if axis not in UNITS:
+            raise unknown_key(path, f"grid.{axis}", UNITS)
+    axes, bend_12 = parse_axes({axis: str(checked(path, f"grid.{axis}", value, float | str))
+                                for axis, value in file.grid.items()}, str(path))
     return Scene(
-        name=name, observations=observations, grid=_grid(path, file.grid), frame_weight=file.frame_weight_mm,
+        name=name, observations=observations, grid=Grid(tuple(axes), bend_12, str(path)), frame_weight=file.frame_weight_mm,
         clamp_start=_clamp(file.clamp_start), clamp_end=_clamp(file.clamp_end), objective=file.objective,
         pairs=path.parent / file.pairs if file.pairs else None, roll_hypotheses=file.roll_hypotheses or file.spins,
         precision=file.precision, source=str(path), sha256=hashlib.sha256(content).hexdigest())
-
-
-def _synthesis(path: Path, name: str, table: dict) -> Synthesis:
-    known = [field.name for field in fields(Synthesis) if field.name not in ("name", "source")]
-    for key in table:
-        if key not in known:
-            raise unknown_key(path, f"synthesis.{key}", known)
-    for key in ("bend", "twist"):
-        if key not in table:
-            raise InputError(path, f"synthesis.{key}", "missing", f"give the rod's {key} in mm³")
-    return Synthesis(**table, name=name, source=str(path))
-
-
-def _grid(path: Path, table: dict) -> Grid:
-    for name in table:
-        if name not in UNITS:
-            raise unknown_key(path, f"grid.{name}", UNITS)
-    texts = {name: str(checked(path, f"grid.{name}", value, float | str)) for name, value in table.items()}
-    axes, bend_12 = parse_axes(texts, str(path))
-    return Grid(tuple(axes), bend_12, str(path))
 
 
 def _clamp(name: str | None) -> Clamp | None:

@@ -94,14 +94,20 @@ class Specimens:
 
     @cached_property
     def many(self) -> Rods:
-        """The sutures' observations in turn, under isotropic materials."""
+        """The sutures' observations in turn, under isotropic materials, bend and twist ratio log-uniform over their ranges."""
+        random = np.random.default_rng(workload.SEED)
+        bend, ratio = (workload.log_uniform(random, limits, self.count)
+                       for limits in (workload.BEND_RANGE, workload.TWIST_RATIO_RANGE))
         tables = workload.in_turn([workload.started(observations) for observations in self.sutures])
-        return workload.paired(*tables, workload.isotropic_materials(self.count))
+        return workload.paired(*tables, Material(bend, bend * ratio))
 
     @cached_property
     def band(self) -> Rods:
-        """The ribbon's observations under materials with a B of two values."""
-        return workload.paired(*workload.started(*workload.observed("ribbon")), workload.ribbon_materials(self.count))
+        """The ribbon's observations under materials with a B of two values, log-uniform, and the ribbon's twist."""
+        random = np.random.default_rng(workload.SEED)
+        first, second = (workload.log_uniform(random, workload.BEND_RANGE, self.count) for _ in range(2))
+        material = Material.diagonal(first, second, workload.RIBBON_TWIST)
+        return workload.paired(*workload.started(*workload.observed("ribbon")), material)
 
     @cached_property
     def relaxed(self) -> Solution:

@@ -213,7 +213,10 @@ def _reach(synthesis: Synthesis) -> tuple[float, ...]:
 
 def _brought_to_distances(synthesis: Synthesis, material: Material) -> tuple[Configuration, Clamps]:
     """One rod per end distance at end rotation 0: from straight, the far clip moves to the largest distance, then closer."""
-    first = _frame_along(synthesis.start_direction)
+    t = np.array(synthesis.start_direction) / np.linalg.norm(synthesis.start_direction)
+    # m1 is as close as possible to the y axis, else to x.
+    across = np.array([0.0, 1.0, 0.0]) if abs(t[1]) < 0.9 else np.array([1.0, 0.0, 0.0])
+    first = bishop_frames(t[None], across - (across @ t) * t)[0]
     last_tangent = np.array(synthesis.end_direction) / np.linalg.norm(synthesis.end_direction)
     turn = smallest_rotation(first[:, 0], last_tangent)
     near, far = _reach(synthesis)
@@ -240,13 +243,6 @@ def _brought_to_distances(synthesis: Synthesis, material: Material) -> tuple[Con
     last = np.tile(clamps.end_frame, (count, 1, 1))
     together = Clamps(Clamp.FRAME, Clamp.FRAME, shapes.start, positions, np.tile(first, (count, 1, 1)), last)
     return shapes, together
-
-
-def _frame_along(direction) -> np.ndarray:
-    """A frame with t along ``direction`` and m1 as close as possible to the y axis, else to x."""
-    t = np.array(direction) / np.linalg.norm(direction)
-    across = np.array([0.0, 1.0, 0.0]) if abs(t[1]) < 0.9 else np.array([1.0, 0.0, 0.0])
-    return bishop_frames(t[None], across - (across @ t) * t)[0]
 
 
 def _sound(solution: Solution, synthesis: Synthesis, places: list[str]) -> Configuration:
@@ -278,7 +274,12 @@ def _labelled(synthesis: Synthesis, rods: _Rods, random: np.random.Generator) ->
     held = [int(clip / spacing + 1e-6) + 1 for clip in synthesis.clips_mm]
     if rods.reported is not None:
         start_frame, end_frame = rods.reported.start_frame, rods.reported.end_frame
-        _put_ideal_marks(marks, rods.reported, _reach(synthesis), held, spacing)
+        # Marks inside clips are reported where ideal clips would hold them.
+        ideal, (near, far), (first, last) = rods.reported, _reach(synthesis), held
+        along = np.arange(first)[:, None] * spacing - near
+        marks[:, :first] = ideal.start_position[:, None] + along * start_frame[:, None, :, 0]
+        along = far - np.arange(last)[::-1, None] * spacing
+        marks[:, -last:] = ideal.end_position[:, None] + along * end_frame[:, None, :, 0]
     noise = synthesis.label_noise_mm * random.normal(size=marks.shape)
     if not synthesis.end_mark_noise:
         noise[:, : held[0]] = noise[:, -held[1] :] = 0.0
@@ -307,11 +308,3 @@ def _labelled(synthesis: Synthesis, rods: _Rods, random: np.random.Generator) ->
         name=synthesis.name,
         source=synthesis.source,
     )
-
-
-def _put_ideal_marks(marks: np.ndarray, ideal: Clamps, reach: tuple[float, ...], held: list[int], spacing: float) -> None:
-    """Overwrite in ``marks`` (R, V, 3) those inside clips with where ideal clips would hold them."""
-    tangent = ideal.start_frame[:, None, :, 0]
-    marks[:, : held[0]] = ideal.start_position[:, None] + (np.arange(held[0])[:, None] * spacing - reach[0]) * tangent
-    tangent = ideal.end_frame[:, None, :, 0]
-    marks[:, -held[1] :] = ideal.end_position[:, None] + (reach[1] - np.arange(held[1])[::-1, None] * spacing) * tangent

@@ -100,20 +100,6 @@ def in_turn(tables: list[tuple[Configuration, Clamps]]) -> tuple[Configuration, 
     return together.take(turns), Clamps.concatenate(clamps).take(turns)
 
 
-def isotropic_materials(count: int) -> Material:
-    """G materials, bend and twist ratio log-uniform over the grid's ranges, from the fixed seed."""
-    random = np.random.default_rng(SEED)
-    bend = log_uniform(random, BEND_RANGE, count)
-    return Material(bend, bend * log_uniform(random, TWIST_RATIO_RANGE, count))
-
-
-def ribbon_materials(count: int) -> Material:
-    """G materials, bend_1 and bend_2 log-uniform over the grid's range, the ribbon's twist, from the fixed seed."""
-    random = np.random.default_rng(SEED)
-    first, second = (log_uniform(random, BEND_RANGE, count) for _ in range(2))
-    return Material.diagonal(first, second, RIBBON_TWIST)
-
-
 def log_uniform(random: np.random.Generator, limits: tuple[float, float], count: int) -> np.ndarray:
     """(count,) numbers whose logarithm is uniform between those of ``limits``."""
     return np.exp(random.uniform(*np.log(limits), size=count))
@@ -128,7 +114,10 @@ TASKS = 20  # for each thread
 
 def machine() -> dict[str, str | int]:
     """What the figures were taken on: the processor's name and the number of cores, nothing that names the host."""
-    return {"processor": _processor(), "cores": os.cpu_count() or 1}
+    information = Path("/proc/cpuinfo")
+    lines = information.read_text(encoding="utf-8").splitlines() if information.exists() else []
+    name = next((line.partition(":")[2].strip() for line in lines if line.startswith("model name")), None)
+    return {"processor": name or platform.processor() or platform.machine(), "cores": os.cpu_count() or 1}
 
 
 def versions() -> dict[str, str]:
@@ -160,12 +149,3 @@ def timed(work) -> tuple[float, object]:
     began = time.perf_counter()
     result = work()
     return time.perf_counter() - began, result
-
-
-def _processor() -> str:
-    information = Path("/proc/cpuinfo")
-    if information.exists():
-        for line in information.read_text(encoding="utf-8").splitlines():
-            if line.startswith("model name"):
-                return line.partition(":")[2].strip()
-    return platform.processor() or platform.machine()

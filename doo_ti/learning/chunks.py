@@ -82,16 +82,13 @@ MOST_OBSERVATIONS = 1 << 31  # more than the column ``observation`` can number
 
 # Of a column: the kinds of its dtype as NumPy abbreviates them, and whether each value is possible.
 _POSSIBLE = {
-    "distance_mm": ("f", lambda x: np.isnan(x) | ((x >= 0) & (x <= LARGEST))),
-    "start_distance_mm": ("f", lambda x: np.isnan(x) | ((x >= 0) & (x <= LARGEST))),
+    **dict.fromkeys(("distance_mm", "start_distance_mm"), ("f", lambda x: np.isnan(x) | ((x >= 0) & (x <= LARGEST)))),
     "status": ("iu", lambda x: np.isin(x, list(Status))),
     "stable": ("b", lambda x: x | True),
     "jumps": ("iu", lambda x: x >= 0),
     "pair_weight": ("f", lambda x: (x > 0) & (x <= LARGEST)),
-    "observation": ("iu", lambda x: (x >= 0) & (x < MOST_OBSERVATIONS)),
-    "from_observation": ("iu", lambda x: (x >= 0) & (x < MOST_OBSERVATIONS)),
-    "end_distance_mm": ("f", lambda x: ~np.isinf(x)),
-    "end_rotation_deg": ("f", lambda x: ~np.isinf(x)),
+    **dict.fromkeys(("observation", "from_observation"), ("iu", lambda x: (x >= 0) & (x < MOST_OBSERVATIONS))),
+    **dict.fromkeys(("end_distance_mm", "end_rotation_deg"), ("f", lambda x: ~np.isinf(x))),
 }
 
 

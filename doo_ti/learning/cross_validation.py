@@ -99,7 +99,11 @@ def partition(landscapes: list[Landscape], by: tuple[str, ...], end_distances: t
     factors, for end distances that no observation has, and where there are not two parts.
     """
     check_comparable(landscapes)
-    by = _ordered(by)
+    unknown = [factor for factor in by if factor not in FACTORS]
+    if unknown or not by or len(set(by)) < len(by):
+        problem = f"{','.join(by)!r} " + ("names a factor twice" if by and not unknown else "is no partition")
+        raise InputError("partition", "by", problem, f"give some of {', '.join(FACTORS)}, joined by commas")
+    by = tuple(factor for factor in FACTORS if factor in by)
     distances = _end_distances(landscapes, end_distances) if "end-distance" in by else None
     found = []
     for within, group in _groups(landscapes, by).items():
@@ -121,15 +125,6 @@ def partition(landscapes: list[Landscape], by: tuple[str, ...], end_distances: t
         raise InputError("partition", "by", f"{','.join(by)} makes no table of two parts",
                          "give runs that differ in it, or partition by something else")
     return found
-
-
-def _ordered(by: tuple[str, ...]) -> tuple[str, ...]:
-    """``by`` in the order of FACTORS. Raises InputError where it names others, or one twice."""
-    unknown = [factor for factor in by if factor not in FACTORS]
-    if unknown or not by or len(set(by)) < len(by):
-        problem = f"{','.join(by)!r} " + ("names a factor twice" if by and not unknown else "is no partition")
-        raise InputError("partition", "by", problem, f"give some of {', '.join(FACTORS)}, joined by commas")
-    return tuple(factor for factor in FACTORS if factor in by)
 
 
 def _value(landscape: Landscape, factor: str) -> str:

@@ -95,7 +95,14 @@ def read(runs: list[Path], *, by_end_distance: bool, observation: int | None, mo
     panels = [LandscapePanel(name, plane_of(landscape)) for name, landscape in zip(names, landscapes, strict=True)]
     by_distance = [_by_end_distance(panel, landscape) for panel, landscape in zip(panels, landscapes, strict=True)
                    ] if by_end_distance else None
-    return Study(landscapes, experiments, panels, by_distance, cells_to_record(landscapes, most_cells), observation)
+    # All cells of the grid, or at most as many evenly spread ones that include each landscape's best.
+    grid = landscapes[0].grid
+    best = [np.unravel_index(landscape.best, grid.shape) for landscape in landscapes]
+    kept = thinned(grid.shape, grid.size if most_cells is None else most_cells, best)
+    axes = tuple(Axis(axis.name, axis.values[some], axis.log) for axis, some in zip(grid.axes, kept, strict=True))
+    index = tuple(some.ravel() for some in np.meshgrid(*kept, indexing="ij"))
+    cells = Cells(Grid(axes, grid.bend_12, grid.source), index, np.ravel_multi_index(index, grid.shape))
+    return Study(landscapes, experiments, panels, by_distance, cells, observation)
 
 
 def _by_end_distance(together: LandscapePanel, landscape: Landscape) -> list[LandscapePanel]:
@@ -105,17 +112,13 @@ def _by_end_distance(together: LandscapePanel, landscape: Landscape) -> list[Lan
         raise InputError(landscape.run, "end_distance_mm", "unknown",
                          "do not partition by end distance, or give the observations the label")
     distances = np.unique(landscape.end_distance)
-    parts = [plane_of(_terms(landscape, landscape.end_distance == distance)) for distance in distances]
+    of_terms = [field.name for field in fields(landscape) if isinstance(getattr(landscape, field.name), np.ndarray)]
+    parts = [plane_of(replace(landscape, **{name: getattr(landscape, name)[..., landscape.end_distance == distance]
+                                            for name in of_terms})) for distance in distances]
     row = [LandscapePanel(f"{together.title}, {distance:g} mm", part, (("", together.plane.minimum),))
            for distance, part in zip(distances, parts, strict=True)]
     marks = tuple((f"{distance:g}", part.minimum) for distance, part in zip(distances, parts, strict=True))
     return [*row, LandscapePanel(f"{together.title}, all", together.plane, marks)]
-
-
-def _terms(landscape: Landscape, which: np.ndarray) -> Landscape:
-    """The landscape of some of its terms."""
-    values = {field.name: getattr(landscape, field.name) for field in fields(landscape)}
-    return replace(landscape, **{name: value[..., which] for name, value in values.items() if isinstance(value, np.ndarray)})
 
 
 def _in_rows(panels: list[LandscapePanel]) -> list[list[LandscapePanel]]:
@@ -161,16 +164,6 @@ def record_cells(study: Study, out: Path) -> list[dict]:
                            name=study.title, runs=runs, cells=cells.cell, rank=rank, texts=_cell_texts(study),
                            rods=_relaxed(study, advance=lambda done: bar.update(task, advance=done)))
     return [_file(path, began)]
-
-
-def cells_to_record(landscapes: list[Landscape], most: int | None) -> Cells:
-    """All cells of the grid that the landscapes share, or at most ``most`` evenly spread ones that include each one's best."""
-    grid = landscapes[0].grid
-    best = [np.unravel_index(landscape.best, grid.shape) for landscape in landscapes]
-    kept = thinned(grid.shape, grid.size if most is None else most, best)
-    axes = tuple(Axis(axis.name, axis.values[some], axis.log) for axis, some in zip(grid.axes, kept, strict=True))
-    index = tuple(some.ravel() for some in np.meshgrid(*kept, indexing="ij"))
-    return Cells(Grid(axes, grid.bend_12, grid.source), index, np.ravel_multi_index(index, grid.shape))
 
 
 def thinned(shape: tuple[int, ...], most: int, kept: list[tuple[int, ...]]) -> tuple[np.ndarray, ...]:

@@ -16,7 +16,7 @@ import platform
 import time
 from contextlib import suppress
 from dataclasses import fields, replace
-from importlib.metadata import PackageNotFoundError, version
+from importlib.metadata import distributions
 from pathlib import Path
 
 import numpy as np
@@ -55,7 +55,9 @@ def claim(run: Path, identity: str, experiment: Experiment) -> None:
     for folder in (run, path.parent, run / "hypotheses"):
         remove_leftovers(folder)
     if not os.path.exists(path):
-        if not _is_free(run) and not path.exists():  # checked again: another process may have claimed and filled it
+        others = [other for other in run.rglob("*") if other != path.parent and not (  # than an interrupted claim leaves
+            other.parent == path.parent and other.name.startswith(f".{IDENTITY}."))]
+        if others and not path.exists():  # checked again: another process may have claimed and filled it
             raise InputError(run, "run", "the folder holds something else than a sweep", "name another folder")
         with suppress(FileExistsError):  # another process was faster: the identity is compared below
             write_whole(path, lambda file: file.write(f"{identity}\n{made}\n".encode()), first=True)
@@ -74,12 +76,6 @@ def claim(run: Path, identity: str, experiment: Experiment) -> None:
     plan = {"material": experiment.observations.name, "grid": experiment.grid.as_dict(), "hypotheses": None,
             "provenance": {**_inputs(experiment), "sweep_sha256": identity}}
     write_text(path.with_name(PLAN), json.dumps(plan, indent=2) + "\n")
-
-
-def _is_free(run: Path) -> bool:
-    """Whether a folder holds nothing but what an interrupted claim leaves."""
-    cells = run / "cells"
-    return all(path == cells or (path.parent == cells and path.name.startswith(f".{IDENTITY}.")) for path in run.rglob("*"))
 
 
 def finished(run: Path, identity: str, chunks: int) -> dict | None:
@@ -145,23 +141,16 @@ def _inputs(experiment: Experiment) -> dict:
     }
 
 
-def _version(package: str) -> str | None:
-    """None of a package that is not installed, as rerun-sdk need not be."""
-    try:
-        return version(package)
-    except PackageNotFoundError:
-        return None
-
-
 def provenance(experiment: Experiment, identity: str, command) -> dict:
     """All that is needed to compute the same numbers again, as JSON holds it."""
-    packages = ("taichi", "numpy", "rerun-sdk", "pyarrow")
+    packages = {name: next((found.version for found in distributions(name=name)), None)  # rerun-sdk need not be installed
+                for name in ("taichi", "numpy", "rerun-sdk", "pyarrow")}
     return {
         "command": list(command),
         **_inputs(experiment),
         "sweep_sha256": identity,
         "maker": maker(),
-        "versions": {"doo_ti": __version__, "python": platform.python_version(), **{name: _version(name) for name in packages}},
+        "versions": {"doo_ti": __version__, "python": platform.python_version(), **packages},
         "machine": f"{platform.system()} {platform.machine()}, {os.cpu_count()} processors",
         "finished": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()),
     }

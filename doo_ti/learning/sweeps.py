@@ -14,7 +14,7 @@ import shlex
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
@@ -34,7 +34,7 @@ from doo_ti.learning.experiment import (
 from doo_ti.learning.landscape import Landscape, gather_landscape, plane_of
 from doo_ti.learning.run_folder import claim, finished, identity_of, provenance, read_plan
 from doo_ti.learning.terms import Hypotheses, Pairs
-from doo_ti.learning.up_axes import other_up
+from doo_ti.learning.up_axes import other_up_of
 from doo_ti.learning.workers import ThisProcess, Workers, started_workers
 from doo_ti.rod.grid import Grid
 from doo_ti.rod.material import relative_stiffness, stiffness
@@ -107,7 +107,8 @@ def _swept(run: Path, experiment: Experiment, workers: ThisProcess | Workers, co
         summary = {
             **landscape.as_dict(), "observations": observations.count,
             **({} if experiment.pairs is None else {"pairs": experiment.pairs.count}), "hypotheses": resolution,
-            **({} if linear_density is None else {DENSITY: linear_density}), "other_up": _other_up(experiment),
+            **({} if linear_density is None else {DENSITY: linear_density}), "other_up": other_up_of(
+                observations, experiment.clamps, grid.axes[-1].values[-1], observations.up, experiment.options.surroundings),
             "timing": {"relaxed_rods": rods * sum(last - first for first, last in left), "loading_s": loading,
                        "relaxation_s": seconds},
             "provenance": provenance(experiment, identity, command),
@@ -116,14 +117,6 @@ def _swept(run: Path, experiment: Experiment, workers: ThisProcess | Workers, co
         summary["timing"]["total_s"] = time.monotonic() - began
         write_text(run / SUMMARY, json.dumps(summary, indent=2) + "\n")
         return summary
-
-
-def _other_up(experiment: Experiment) -> dict | None:
-    """What :func:`doo_ti.learning.up_axes.other_up` finds, as JSON holds it; None where the grid's rods have no weight."""
-    heaviest = experiment.grid.axes[-1].values[-1]
-    found = None if heaviest == 0 else other_up(experiment.observations, experiment.clamps,
-                                                surroundings=experiment.options.surroundings)
-    return None if found is None else asdict(found)
 
 
 @contextmanager

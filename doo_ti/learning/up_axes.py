@@ -19,7 +19,7 @@ nearer with an error of about one, in units of ln. Planar observations, and rods
 alike, and no axis is named.
 """
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -92,6 +92,13 @@ def other_up(observations: Observations, clamps: Clamps, up: ArrayLike | None = 
                  if rules_out(others[k], given) and not rules_out(others[best], others[k]))
     size = [float(np.sqrt(max(np.exp(2 * misfit) - floor, 0.0))) for misfit in (others[best], given, nothing)]
     return OtherUp(tuple((axes[best] + 0.0).tolist()), f"--up {_name(axes[best])}", also, *size, trial.observations.count)
+
+
+def other_up_of(observations: Observations, clamps: Clamps, weight: float, up: ArrayLike, surroundings: Surroundings
+                ) -> dict | None:
+    """What :func:`other_up` finds for rods of that ``weight``, as JSON holds it; None where they have none."""
+    found = None if weight == 0 else other_up(observations, clamps, up, surroundings)
+    return None if found is None else asdict(found)
 
 
 def _name(axis: ArrayLike) -> str:

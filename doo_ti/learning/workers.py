@@ -44,7 +44,11 @@ class Workers:
                 return
             chunk, future = waiting.popleft()
             try:
-                result = self._result(future)
+                while not future.done() and self.connected():
+                    wait_for_futures([future], timeout=CHECK_SECONDS)
+                if not future.done():
+                    raise ConnectionError(SCHEDULER_ENDED)
+                result = future.result()
             except BaseException as error:
                 for later, other in waiting:
                     if other.done() and not other.cancelled() and other.exception() is None:
@@ -53,13 +57,6 @@ class Workers:
                     raise ConnectionError(SCHEDULER_ENDED) from None
                 raise
             yield chunk, result
-
-    def _result(self, future):
-        while not future.done() and self.connected():
-            wait_for_futures([future], timeout=CHECK_SECONDS)
-        if not future.done():
-            raise ConnectionError(SCHEDULER_ENDED)
-        return future.result()
 
 
 class ThisProcess:

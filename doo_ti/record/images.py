@@ -47,7 +47,9 @@ def record_perception(path, *, run_id: str, name: str, rig: Rig, rods: list[Seen
             for number, step in enumerate(steps, 2):
                 stream.set_time("edges", sequence=number)
                 stream.log(f"curves/{place}/energy_vis", rerun.AnyValues(per_mm=step.energy_vis, kept=step.kept))
-                _log_curves(stream, place, rig, _step_curves(step))
+                kept = np.flatnonzero(step.kept)  # the best, the others that are kept, and those that are pruned
+                own = {"rods": kept[:1], "kept": kept[1:], "pruned": np.flatnonzero(~step.kept)}
+                _log_curves(stream, place, rig, {name: list(step.vertices[some]) for name, some in own.items()})
             stream.set_time("edges", sequence=len(steps) + 2)
             _log_curves(stream, place, rig, {
                 "rods": [seen.best], "runner_up": [] if seen.runner_up is None else [seen.runner_up], "kept": [], "pruned": []})
@@ -91,13 +93,6 @@ def _log_styles(stream, place: str, rig: Rig) -> None:
                        static=True)
 
 
-def _step_curves(step: GrowthStep) -> dict[str, list[np.ndarray]]:
-    """The hypotheses of a step: the best, the others that are kept, and those that are pruned."""
-    kept = np.flatnonzero(step.kept)
-    rows = {"rods": kept[:1], "kept": kept[1:], "pruned": np.flatnonzero(~step.kept)}
-    return {name: list(step.vertices[own]) for name, own in rows.items()}
-
-
 def _log_curves(stream, place: str, rig: Rig, curves: dict[str, list[np.ndarray]]) -> None:
     """Curves (V, 3) by the name of their entity, in space and in every image."""
     for name, some in curves.items():
@@ -127,22 +122,19 @@ def _growth_layout(rig: Rig, places: list[str], rods: list[SeenRod], up: np.ndar
         space = viewer.space_view("Hypotheses: best and kept blue, pruned red", f"world/{place}",
                                   (middle + 1.3 * size * toward, middle, up))
         cameras = viewer.space_view("Cameras", f"world/{place}")
-        images = [blueprint.Spatial2DView(
-            name=camera.name, origin=f"images/{place}/{camera.name}", background=viewer.BACKGROUND,
-            visual_bounds=_bounds(seen.detected[column])) for column, camera in enumerate(rig.cameras)]
+        images = []
+        for camera, detected in zip(rig.cameras, seen.detected, strict=True):
+            low, high = box(detected)  # limits of the view when opened: those of the thread
+            (left, top), (right, bottom) = low - MARGIN_PX, high + MARGIN_PX
+            images.append(blueprint.Spatial2DView(
+                name=camera.name, origin=f"images/{place}/{camera.name}", background=viewer.BACKGROUND,
+                visual_bounds=blueprint.VisualBounds2D(x_range=[left, right], y_range=[top, bottom])))
         words = blueprint.TextDocumentView(name="Verdict", origin=f"summary/{place}")
         tabs.append(blueprint.Horizontal(
             blueprint.Vertical(space, words, row_shares=[6, 1]), blueprint.Grid(*images, cameras), column_shares=[1, 1.2],
             name=seen.name))
     body = tabs[0] if len(tabs) == 1 else blueprint.Tabs(*tabs)
     return blueprint.Blueprint(body, *viewer.panels("edges"))
-
-
-def _bounds(detected: np.ndarray) -> blueprint.VisualBounds2D:
-    """Limits of an image view when opened: those of the thread."""
-    low, high = box(detected)
-    (left, top), (right, bottom) = low - MARGIN_PX, high + MARGIN_PX
-    return blueprint.VisualBounds2D(x_range=[left, right], y_range=[top, bottom])
 
 
 def record_track(path, *, run_id: str, name: str, rig: Rig, paths, vertices: np.ndarray, error: np.ndarray, how: np.ndarray,

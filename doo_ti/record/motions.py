@@ -110,30 +110,21 @@ def record_ribbons(path, *, run_id: str, name: str, ribbons: list[Ribbons], obse
             if kind.filled:
                 # The mesh of a ribbon without a configuration is a point.
                 sides = np.where(np.isfinite(kind.sides).all(axis=(1, 2, 3), keepdims=True), kind.sides, 0.0).astype(np.float32)
-                stream.log(place, rerun.Mesh3D.from_fields(triangle_indices=_triangles(marks)), static=True)
+                low, high = np.arange(marks - 1), np.arange(marks, 2 * marks - 1)  # vertices of one border, then of the other
+                triangles = [np.stack([low, low + 1, high], -1), np.stack([high, low + 1, high + 1], -1)]
+                stream.log(place, rerun.Mesh3D.from_fields(
+                    triangle_indices=np.concatenate(triangles).astype(np.uint32)), static=True)
+                normal = np.cross(np.gradient(sides.mean(axis=1), axis=1), sides[:, 1] - sides[:, 0])
+                normal /= np.maximum(np.linalg.norm(normal, axis=-1, keepdims=True), 1e-9)
                 stream.send_columns(place, times, rerun.Mesh3D.columns(
-                    vertex_positions=sides.reshape(-1, 3), vertex_normals=_normals(sides).reshape(-1, 3),
+                    vertex_positions=sides.reshape(-1, 3),
+                    vertex_normals=np.stack([normal, normal], axis=1).astype(np.float32).reshape(-1, 3),
                     vertex_colors=np.tile(np.uint8(kind.color), (sides[..., 0].size, 1))).partition([2 * marks] * count))
             stream.log(f"{place}/borders", rerun.LineStrips3D.from_fields(
                 colors=[np.uint8(kind.color) // (2 if kind.filled else 1)], radii=rerun.Radius.ui_points(0.9),
                 labels=[kind.label] * 2, show_labels=False), static=True)
             viewer.send_rods(stream, f"{place}/borders", times, kind.sides)
         stream.send_columns("summary", times, rerun.TextDocument.columns(text=texts, media_type=["text/markdown"] * count))
-
-
-def _triangles(marks: int) -> np.ndarray:
-    """(N, 3) of a band whose vertices are those of one border, then those of the other."""
-    low = np.arange(marks - 1)
-    high = low + marks
-    return np.concatenate([np.stack([low, low + 1, high], -1), np.stack([high, low + 1, high + 1], -1)]).astype(np.uint32)
-
-
-def _normals(sides: np.ndarray) -> np.ndarray:
-    """(D, 2, V, 3) unit normals of each band's face."""
-    along = np.gradient(sides.mean(axis=1), axis=1)
-    normal = np.cross(along, sides[:, 1] - sides[:, 0])
-    normal /= np.maximum(np.linalg.norm(normal, axis=-1, keepdims=True), 1e-9)
-    return np.stack([normal, normal], axis=1).astype(np.float32)
 
 
 def _ribbon_layout(ribbons: list[Ribbons], basis: np.ndarray) -> blueprint.Blueprint:
@@ -242,7 +233,10 @@ def _log_obstacles(stream, when: list, touched: Touched, offset: np.ndarray) -> 
     """The obstacles around each rod, moved by the rod's ``offset`` (R, 3); those that move at the T times ``when``."""
     for row, move in enumerate(offset):
         for number, (given, _, vertices, triangles, normals) in enumerate(touched.meshes(row, 0)):
-            own, corners = f"world/obstacles/{row}/{number}", _outward(vertices[triangles], normals).reshape(-1, 3)
+            own, corners = f"world/obstacles/{row}/{number}", vertices[triangles]
+            across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+            turned = (across * normals).sum(axis=-1) < 0.0  # their corners are not in the sense of the outward normals
+            corners = np.where(turned[:, None, None], corners[:, ::-1], corners).reshape(-1, 3)
             if isinstance(given, Moving):
                 rotation, shift = since_first(*given.path)
                 stream.send_columns(own, when, rerun.Transform3D.columns(mat3x3=rotation[0], translation=shift[0] + move))
@@ -252,13 +246,6 @@ def _log_obstacles(stream, when: list, touched: Touched, offset: np.ndarray) -> 
                 vertex_positions=corners, vertex_normals=np.repeat(normals, 3, axis=0), albedo_factor=OBSTACLE,
                 # A table does not hide from below what lies on it.
                 face_rendering=rerun.components.MeshFaceRendering.Front), static=True)
-
-
-def _outward(corners: np.ndarray, normals: np.ndarray) -> np.ndarray:
-    """Triangles (M, 3, 3) with their corners in the sense of their outward ``normals`` (M, 3)."""
-    across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    turned = (across * normals).sum(axis=-1) < 0.0
-    return np.where(turned[:, None, None], corners[:, ::-1], corners)
 
 
 def _log_forces(stream, when: list, touched: Touched, offset: np.ndarray) -> None:

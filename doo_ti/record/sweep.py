@@ -181,17 +181,13 @@ def _layout(grid: GridView, plane: LandscapePlane | None) -> blueprint.Blueprint
     left, right = blueprint.Vertical(rods, summary, row_shares=[3, 1.25]), blueprint.Vertical(*plots)
     if plane is not None:
         picture = blueprint.Spatial2DView(name="Landscape", origin="landscape/picture")
-        right = blueprint.Vertical(blueprint.Tabs(picture, _surface_view()), blueprint.Horizontal(*plots), row_shares=[3, 2])
+        surface = viewer.space_view(  # with the cells up to the time cursor
+            "Surface (timeline: trial)", "landscape", ((1.25, -0.95, 0.95), (0.55, 0.42, 0.15), (0, 0, 1)),
+            contents=["$origin/surface/**", "$origin/cells"],
+            time_ranges=blueprint.VisibleTimeRange("trial", start=blueprint.TimeRangeBoundary.infinite(),
+                                                   end=blueprint.TimeRangeBoundary.cursor_relative()))
+        right = blueprint.Vertical(blueprint.Tabs(picture, surface), blueprint.Horizontal(*plots), row_shares=[3, 2])
     return blueprint.Blueprint(blueprint.Horizontal(left, right, column_shares=[1.25, 1]), *viewer.panels("iteration"))
-
-
-def _surface_view() -> blueprint.Spatial3DView:
-    """The surface, with the cells up to the time cursor."""
-    return viewer.space_view(
-        "Surface (timeline: trial)", "landscape", ((1.25, -0.95, 0.95), (0.55, 0.42, 0.15), (0, 0, 1)),
-        contents=["$origin/surface/**", "$origin/cells"],
-        time_ranges=blueprint.VisibleTimeRange("trial", start=blueprint.TimeRangeBoundary.infinite(),
-                                               end=blueprint.TimeRangeBoundary.cursor_relative()))
 
 
 def _summary(name: str, intervals: tuple[Interval, ...], names: list[str], trajectory: SweepTrajectory,

@@ -104,19 +104,13 @@ class Touched:
 
     def draw(self, plot, row: int, view: np.ndarray, frame: int) -> None:
         """The obstacles around a rod, and the forces on it, at a frame in a plot with the axes ``view`` (2, 3)."""
-        self.draw_still(plot, row, view)
-        self.draw_moving(plot, row, view, frame)
+        self.draw_obstacles(plot, row, view, frame, Obstacle)
+        self.draw_obstacles(plot, row, view, frame, Moving)
         self.draw_forces(plot, row, view, frame)
 
-    def draw_still(self, plot, row: int, view: np.ndarray) -> None:
-        """The obstacles around a rod that do not move; the plot's limits stay as they are."""
-        self._draw_obstacles(plot, row, view, 0, Obstacle)
-
-    def draw_moving(self, plot, row: int, view: np.ndarray, frame: int, faint: bool = False) -> list:
-        """Those that move, where they are at a frame: what was drawn."""
-        return self._draw_obstacles(plot, row, view, frame, Moving, FAINT if faint else 1.0)
-
-    def _draw_obstacles(self, plot, row: int, view: np.ndarray, frame: int, given: type, alpha: float = 1.0) -> list:
+    def draw_obstacles(self, plot, row: int, view: np.ndarray, frame: int, given: type, alpha: float = 1.0) -> list:
+        """The obstacles around a rod that do not move, :class:`Obstacle`, or those :class:`Moving`, where they are at a frame:
+        what was drawn; the plot's limits stay as they are."""
         from matplotlib.collections import PolyCollection
 
         limits, drawn = plot.axis(), []

@@ -148,6 +148,7 @@ def ribbon_sides(vertices: np.ndarray, across: np.ndarray, width: float) -> np.n
 def ribbons_picture(path_or_buffer, ribbons: list[Ribbons], which: int, *, basis: np.ndarray, title: str) -> None:
     """Write the ribbon ``which`` of each kind as a PNG: a column for each filled kind, the outlined ones in all columns, a row
     for each view. ``basis`` (3, 3) has rows right, into the picture and up."""
+    from matplotlib.collections import LineCollection
     from matplotlib.lines import Line2D
 
     filled, outlined = ([kind for kind in ribbons if kind.filled == wanted] for wanted in (True, False))
@@ -159,12 +160,19 @@ def ribbons_picture(path_or_buffer, ribbons: list[Ribbons], which: int, *, basis
     for places, name, view, middle, size in zip(grid, VIEWS, views, middles, sizes, strict=True):
         for axes, kind in zip(places, filled, strict=True):
             _draw_band(axes, kind.sides[which] @ view.T, kind.color)
-            for other in outlined:
-                _draw_outline(axes, other.sides[which] @ view.T, other.color)
+            for other in outlined:  # the borders and the lines across them, in front of everything
+                flat, shade = (other.sides[which] @ view.T)[..., [0, 2]], np.array(other.color) / 255
+                axes.add_collection(LineCollection(list(flat), colors=[shade], linewidths=1.3, zorder=3))
+                axes.add_collection(LineCollection(flat.swapaxes(0, 1), colors=[shade], linewidths=0.4, zorder=3))
             axes.set(xlim=middle[0] + 0.5 * size[0] * np.array([-1, 1]), ylim=middle[1] + 0.5 * size[1] * np.array([-1, 1]),
                      aspect="equal")
             axes.set_axis_off()
-        _label_view(places[0], name)
+        first = places[0]  # with the view's name, and a scale bar of 20 mm
+        left, low = first.get_xlim()[0] + 1, first.get_ylim()[0] + 2
+        first.plot([left, left + 20], [low, low], color="#202020", linewidth=2)
+        first.annotate("20 mm", (left + 10, low), xytext=(0, 4), textcoords="offset points", ha="center", va="bottom",
+                       fontsize=9)
+        first.annotate(literal(name), (0.0, 1.0), xycoords="axes fraction", ha="left", va="top", fontsize=10, color="#606060")
     for axes, kind in zip(grid[0], filled, strict=True):
         axes.set_title(literal(kind.label), fontsize=9.5, color=np.array(kind.color) / 255)
     figure.suptitle(literal(title), fontsize=13)
@@ -186,23 +194,6 @@ def _draw_band(axes, sides: np.ndarray, color: tuple[int, int, int]) -> None:
     order = np.argsort(-faces[..., 1].mean(axis=1), kind="stable")
     axes.add_collection(PolyCollection(faces[order][..., [0, 2]], facecolors=colors[order], linewidths=0.35,
                                        edgecolors=(0.08, 0.08, 0.08, 0.55)))
-
-
-def _draw_outline(axes, sides: np.ndarray, color: tuple[int, int, int]) -> None:
-    """Borders (2, V, 3) and the lines across them, in front of everything."""
-    from matplotlib.collections import LineCollection
-
-    flat, shade = sides[..., [0, 2]], np.array(color) / 255
-    axes.add_collection(LineCollection(list(flat), colors=[shade], linewidths=1.3, zorder=3))
-    axes.add_collection(LineCollection(flat.swapaxes(0, 1), colors=[shade], linewidths=0.4, zorder=3))
-
-
-def _label_view(axes, name: str) -> None:
-    """The name of a row's view, and a scale bar of 20 mm."""
-    left, low = axes.get_xlim()[0] + 1, axes.get_ylim()[0] + 2
-    axes.plot([left, left + 20], [low, low], color="#202020", linewidth=2)
-    axes.annotate("20 mm", (left + 10, low), xytext=(0, 4), textcoords="offset points", ha="center", va="bottom", fontsize=9)
-    axes.annotate(literal(name), (0.0, 1.0), xycoords="axes fraction", ha="left", va="top", fontsize=10, color="#606060")
 
 
 def _frames(points: np.ndarray, views: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:

@@ -16,10 +16,9 @@ from doo_ti.report.plane import (
     draw_line,
     draw_map,
     draw_marks,
-    draw_region,
-    draw_star,
     edged,
     label_minimum,
+    place_of,
 )
 
 
@@ -87,38 +86,42 @@ def _cell_boxes(axes, plane: LandscapePlane, cells: tuple[np.ndarray, np.ndarray
 
 def draw_landscape(plane: LandscapePlane, title: str, region: np.ndarray | None = None, newton_per_bend: float | None = None):
     """The figure of one landscape, its legend below; other arguments as :func:`landscape_picture` has them."""
+    from matplotlib.patches import Polygon
+
     figure = canvas.new_figure()
     axes = figure.add_subplot()
     _draw(figure, axes, plane, None, 1.0)
     region = region if len(plane.axes) == 2 else None
     if region is not None:
-        draw_region(axes, region)
+        # Closed, whether its last point is its first or not.
+        axes.add_patch(Polygon(region, closed=True, fill=False, edgecolor=REGION, linewidth=2.2, linestyle="--", zorder=4,
+                               path_effects=edged()))
     if plane.minimum is not None:
         label_minimum(axes, plane)
     if newton_per_bend is not None and plane.axes[0][0] in ("bend", "bend_1"):
-        _draw_stiffness_axis(axes, plane, newton_per_bend)
+        above = axes.secondary_xaxis("top", functions=(lambda bend: bend * newton_per_bend, lambda EI: EI / newton_per_bend))
+        canvas.plain_ticks(above.xaxis, plane.axes[0][2], *axes.get_xlim())
+        above.tick_params(labelsize=11)
+        above.set_xlabel("EI [N m²]", fontsize=13)
     axes.set_title("\n".join([canvas.literal(title), *_remarks(plane)]), fontsize=14, pad=12)
     _put_legend(figure, [plane], 1 if plane.hidden else 2, with_region=region is not None)
     return figure
 
 
-def _draw_stiffness_axis(axes, plane: LandscapePlane, newton_per_bend: float) -> None:
-    """EI above the picture, over the bend stiffness below."""
-    above = axes.secondary_xaxis("top", functions=(lambda bend: bend * newton_per_bend, lambda EI: EI / newton_per_bend))
-    low, high = axes.get_xlim()
-    canvas.plain_ticks(above.xaxis, plane.axes[0][2], low, high)
-    above.tick_params(labelsize=11)
-    above.set_xlabel("EI [N m²]", fontsize=13)
-
-
 def draw_panels(rows: list[list[LandscapePanel]], title: str, marks: str, relative: bool, dpi: int = canvas.PICTURE_DPI):
     """The figure of several landscapes, and its (axes, panel) in reading order."""
+    from matplotlib.colors import LogNorm
+
     panels, columns = [panel for row in rows for panel in row], max(len(row) for row in rows)
     size, width, height = (0.9, 5.4, 4.4) if columns <= 3 else (0.75, 3.2, 3.0)
     figure = canvas.new_figure((max(width * columns, 8.0), height * len(rows) + 1.0), dpi)
     grid = figure.subplots(len(rows), columns, squeeze=False)
     relative = relative and all(len(panel.plane.axes) == 2 for panel in panels)
-    norm = _common_norm([panel.plane for panel in panels]) if relative else None
+    norm = None
+    if relative:  # one colour scale, in multiples of their minima, up to the largest of the flattest one
+        multiples = [_multiples(panel.plane) for panel in panels if panel.plane.minimum is not None]
+        largest = [np.max(values, where=np.isfinite(values), initial=1.0) for values in multiples]
+        norm = LogNorm(1.0, max(min(largest, default=2.0), 2.0))
     drawn, meshes = [], []
     for place, axes in np.ndenumerate(grid):
         if place[1] >= len(rows[place[0]]):
@@ -127,8 +130,10 @@ def draw_panels(rows: list[list[LandscapePanel]], title: str, marks: str, relati
         panel = rows[place[0]][place[1]]
         meshes.append(_draw_panel(figure, axes, panel, norm, size))
         drawn.append((axes, panel))
-        if relative:
-            _leave_inner_labels(axes, at_left=place[1] == 0, at_bottom=all(place[1] >= len(row) for row in rows[place[0] + 1:]))
+        if relative:  # over the same axes: they are labelled once, at the left and the bottom of the picture
+            at_left, at_bottom = place[1] == 0, all(place[1] >= len(row) for row in rows[place[0] + 1:])
+            axes.tick_params(labelleft=at_left, labelbottom=at_bottom)
+            axes.set(**({} if at_left else {"ylabel": ""}), **({} if at_bottom else {"xlabel": ""}))
     if relative:
         label = canvas.MEAN_DISTANCE.rpartition(" [")[0] + ", in multiples of the panel's smallest"
         _color_bar(figure, meshes[0], grid, label, extend="max")
@@ -161,33 +166,15 @@ def _draw(figure, axes, plane: LandscapePlane, norm, size: float):
     else:
         mesh = draw_map(axes, replace(plane, values=_multiples(plane)), norm, size)
     if plane.minimum is not None:
-        draw_star(axes, plane, size)
+        axes.plot(*place_of(plane, plane.minimum), "*", markersize=17 * size, color=STAR, markeredgecolor="white",
+                  markeredgewidth=1.2 * size, zorder=5)
     return mesh
-
-
-def _leave_inner_labels(axes, at_left: bool, at_bottom: bool) -> None:
-    """Panels over the same axes are labelled once, at the left and the bottom of the picture."""
-    if not at_left:
-        axes.set_ylabel("")
-        axes.tick_params(labelleft=False)
-    if not at_bottom:
-        axes.set_xlabel("")
-        axes.tick_params(labelbottom=False)
 
 
 def _multiples(plane: LandscapePlane) -> np.ndarray:
     """The values over the smallest one, in mm where that is zero."""
     least = plane.values[plane.minimum] if plane.minimum is not None else 0.0
     return plane.values / (least if least > 0 else 1.0)
-
-
-def _common_norm(planes: list[LandscapePlane]):
-    """One colour scale for several landscapes, in multiples of their minima, up to the largest of the flattest one."""
-    from matplotlib.colors import LogNorm
-
-    multiples = [_multiples(plane) for plane in planes if plane.minimum is not None]
-    largest = [np.max(values, where=np.isfinite(values), initial=1.0) for values in multiples]
-    return LogNorm(1.0, max(min(largest, default=2.0), 2.0))
 
 
 def _color_bar(figure, mesh, axes, label: str = canvas.MEAN_DISTANCE, size: float = 1.0, extend: str = "neither") -> None:

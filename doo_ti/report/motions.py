@@ -9,6 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
+from doo_ti.contact.obstacles import Obstacle
+from doo_ti.contact.surroundings import Moving
 from doo_ti.report.canvas import (
     deviations,
     direction,
@@ -20,7 +22,7 @@ from doo_ti.report.canvas import (
     save_figure,
     upright_basis,
 )
-from doo_ti.report.contact import Touched
+from doo_ti.report.contact import FAINT, Touched
 from doo_ti.system.files import write_whole
 
 MOST_RODS = 6  # in a picture, those of the largest, the median and the smallest errors
@@ -89,7 +91,7 @@ def save_rollout(path: Path, name: str, names: list[str], positions: np.ndarray,
             plot.update_datalim(touched.tips([row], frames[-1]) @ axes.T)
             plot.autoscale_view()
             for frame in frames[:-1]:
-                touched.draw_moving(plot, row, axes, frame, faint=True)
+                touched.draw_obstacles(plot, row, axes, frame, Moving, FAINT)
             touched.draw(plot, row, axes, frames[-1])
         title = names[row]
         if recorded is not None:
@@ -99,7 +101,13 @@ def save_rollout(path: Path, name: str, names: list[str], positions: np.ndarray,
             plot.legend(fontsize=8, frameon=False)
     time = np.arange(positions.shape[1]) / rate
     if recorded is not None:
-        _draw_errors(figure.add_subplot(grid[lines, :]), time, np.abs(positions - recorded).mean(axis=(2, 3)))
+        plot, error = figure.add_subplot(grid[lines, :]), np.abs(positions - recorded).mean(axis=(2, 3))  # (R, T) of all rods
+        plot.plot(time, error.T, color=PREDICTED, lw=0.5, alpha=0.35)
+        known = np.isfinite(error).any(axis=0)
+        plot.plot(time[known], np.nanmedian(error[:, known], axis=0), color="black", lw=1.6, label="median")
+        most = max(1.0, 1.1 * np.quantile(error[np.isfinite(error)], 0.99) if known.any() else 0.0)
+        plot.set(ylim=(0, most), xlabel="time [s]", ylabel="mean |difference| [mm]")
+        plot.legend(fontsize=8, frameon=False)
     if energies is not None:
         first = {name: value[rows[0]] for name, value in energies.items()}
         _draw_energies(figure.add_subplot(grid[-1, :]), time, first, names[rows[0]])
@@ -120,16 +128,6 @@ def _draw_stills(plot, axes: np.ndarray, positions: np.ndarray, recorded: np.nda
     plot.set_xlabel(f"{direction(axes[0])} [mm]", fontsize=8)
     plot.set_ylabel(f"{direction(axes[1])} [mm]", fontsize=8)
     plot.tick_params(labelsize=8)
-
-
-def _draw_errors(plot, time: np.ndarray, error: np.ndarray) -> None:
-    """Errors (R, T) of all rods, and their median."""
-    plot.plot(time, error.T, color=PREDICTED, lw=0.5, alpha=0.35)
-    known = np.isfinite(error).any(axis=0)
-    plot.plot(time[known], np.nanmedian(error[:, known], axis=0), color="black", lw=1.6, label="median")
-    most = max(1.0, 1.1 * np.quantile(error[np.isfinite(error)], 0.99) if known.any() else 0.0)
-    plot.set(ylim=(0, most), xlabel="time [s]", ylabel="mean |difference| [mm]")
-    plot.legend(fontsize=8, frameon=False)
 
 
 def _draw_energies(plot, time: np.ndarray, energies: dict[str, np.ndarray], name: str) -> None:
@@ -168,7 +166,7 @@ def save_animation(path: Path, name: str, names: list[str], positions: np.ndarra
         plot.set(xlim=limits[0], ylim=limits[1], aspect="equal", xticks=[], yticks=[])
         plot.set_title(literal(names[rows[k]]), fontsize=9)
         if touched is not None:
-            touched.draw_still(plot, rows[k], axes)
+            touched.draw_obstacles(plot, rows[k], axes, 0, Obstacle)
         if seen is not None:
             marks.append(plot.plot([], [], color=RECORDED, lw=4)[0])
         curves.append(plot.plot([], [], color=PREDICTED, lw=1.8)[0])
@@ -180,7 +178,8 @@ def save_animation(path: Path, name: str, names: list[str], positions: np.ndarra
             drawn.remove()
         momentary = [] if touched is None else [
             drawn for plot, row in zip(figure.axes, rows, strict=True)
-            for drawn in (*touched.draw_moving(plot, row, axes, frame), *touched.draw_forces(plot, row, axes, frame))]
+            for drawn in (*touched.draw_obstacles(plot, row, axes, frame, Moving),
+                          *touched.draw_forces(plot, row, axes, frame))]
         for k, curve in enumerate(curves):
             curve.set_data(*flat[k, frame].T)
             if seen is not None:
@@ -266,7 +265,12 @@ class MovingRods:
 def motions_picture(path_or_buffer, rods: MovingRods, *, title: str) -> None:
     """Write the motions as a PNG, at most the first ``MOST_DRAWN``, ``COLUMNS`` beside each other: each from the front and
     below that from above. Early moments are dark; the shapes before a jump, dashed, and after it are thick and red."""
+    from matplotlib import colormaps
+    from matplotlib.cm import ScalarMappable
+    from matplotlib.colors import Normalize
+
     shown, time = min(len(rods.names), MOST_DRAWN), rods.time
+    scale = ScalarMappable(Normalize(time[0], time[-1]), colormaps["viridis"])
     vertices, jumps = rods.vertices[:, :shown], rods.jumps[:, :shown]
     moments = np.unique(np.linspace(0, len(time) - 1, MOMENTS).round().astype(int))
     views = [rods.basis[[0, 2]], rods.basis[:2]]
@@ -286,7 +290,12 @@ def motions_picture(path_or_buffer, rods: MovingRods, *, title: str) -> None:
                 axes.set_axis_off()
                 continue
             axes.set(xlim=limits[row][0], ylim=limits[row][1], aspect="equal")
-            _draw_moments(axes, vertices[:, rod] @ view.T, time, moments, np.flatnonzero(jumps[:, rod]))
+            flat = vertices[:, rod] @ view.T
+            for moment in moments:
+                axes.plot(*flat[moment].T, color=scale.to_rgba(time[moment]), linewidth=1.4)
+            for moment in np.flatnonzero(jumps[:, rod]):
+                axes.plot(*flat[max(moment - 1, 0)].T, "--", color=JUMP, linewidth=1.8)
+                axes.plot(*flat[moment].T, color=JUMP, linewidth=1.8)
             if rods.touched is not None:
                 rods.touched.draw(axes, rod, view, len(time) - 1)
             axes.grid(alpha=0.2)
@@ -296,27 +305,9 @@ def motions_picture(path_or_buffer, rods: MovingRods, *, title: str) -> None:
                 count = int(jumps[:, rod].sum())
                 axes.set_title(literal(rods.names[rod]) + f": {count} jump{'s' * (count != 1)}" * (count > 0), fontsize=10)
     figure.supxlabel(f"{direction(views[0][0])} [mm]", fontsize=10)
-    figure.colorbar(_time_scale(time), ax=list(panels.ravel()), pad=0.01, aspect=40).set_label("time [s]", fontsize=10)
+    figure.colorbar(scale, ax=list(panels.ravel()), pad=0.01, aspect=40).set_label("time [s]", fontsize=10)
     more = f" ({len(rods.names) - shown} more are not drawn)" if len(rods.names) > shown else ""
     red = "\nred: before a jump (dashed) and after it" if jumps.any() else ""
     blue = "" if rods.touched is None else f"\n{rods.touched.legend_at_end}"
     figure.suptitle(f"{literal(title)}{more}{red}{blue}", fontsize=10)
     save_figure(figure, path_or_buffer)
-
-
-def _draw_moments(axes, flat: np.ndarray, time: np.ndarray, moments: np.ndarray, jumps: np.ndarray) -> None:
-    """Shapes (T, V, 2) at some moments, and before and after jumps."""
-    scale = _time_scale(time)
-    for moment in moments:
-        axes.plot(*flat[moment].T, color=scale.to_rgba(time[moment]), linewidth=1.4)
-    for moment in jumps:
-        axes.plot(*flat[max(moment - 1, 0)].T, "--", color=JUMP, linewidth=1.8)
-        axes.plot(*flat[moment].T, color=JUMP, linewidth=1.8)
-
-
-def _time_scale(time: np.ndarray):
-    from matplotlib import colormaps
-    from matplotlib.cm import ScalarMappable
-    from matplotlib.colors import Normalize
-
-    return ScalarMappable(Normalize(time[0], time[-1]), colormaps["viridis"])

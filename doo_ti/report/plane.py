@@ -198,8 +198,11 @@ def draw_map(axes, plane: LandscapePlane, norm, size: float = 1.0):
     drawn, (x, y) = plane.blocks()
     axes.set_facecolor(MISSING)
     mesh = axes.pcolormesh(x, y, np.ma.masked_invalid(drawn.values.T), cmap="viridis", norm=norm, rasterized=True)
+    a, first_b, behind = _stretches(drawn.unfinished > 0)  # rectangles, each one cell wide along a
+    left, right, low, high = x[a], x[a + 1], y[first_b], y[behind]
+    corners = np.stack([np.stack([left, right, right, left], -1), np.stack([low, low, high, high], -1)], axis=-1)
     axes.add_collection(PolyCollection(
-        _rectangles(x, y, drawn.unfinished > 0), facecolor=(0.6, 0.6, 0.6, 0.45), edgecolor=(0.15, 0.15, 0.15, 0.9),
+        corners, facecolor=(0.6, 0.6, 0.6, 0.45), edgecolor=(0.15, 0.15, 0.15, 0.9),
         hatch="////", linewidth=0), autolim=False)
     for axis, edges, set_scale, set_label, grid in (
             (axes.xaxis, x, axes.set_xscale, axes.set_xlabel, first),
@@ -249,12 +252,6 @@ def place_of(plane: LandscapePlane, cell: tuple[int, int]) -> tuple[float, float
     return first[1][cell[0]], second[0][1][cell[1]] if second else plane.values[cell]
 
 
-def draw_star(axes, plane: LandscapePlane, size: float = 1.0) -> None:
-    """Draw the star at the minimum."""
-    axes.plot(*place_of(plane, plane.minimum), "*", markersize=17 * size, color=STAR, markeredgecolor="white",
-              markeredgewidth=1.2 * size, zorder=5)
-
-
 def draw_marks(axes, plane: LandscapePlane, marks, size: float = 1.0) -> None:
     """Circles on further cells, (text, cell) each; texts are in a column on the side with more room, a line leads to each."""
     from matplotlib.patheffects import Normal, Stroke
@@ -287,14 +284,6 @@ def label_minimum(axes, plane: LandscapePlane) -> None:
         arrowprops={"arrowstyle": "-", "color": STAR, "linewidth": 1.6, "shrinkB": 8})
 
 
-def draw_region(axes, region) -> None:
-    """The outline (n, 2) of a region, in the axes' units; closed, whether its last point is its first or not."""
-    from matplotlib.patches import Polygon
-
-    axes.add_patch(Polygon(region, closed=True, fill=False, edgecolor=REGION, linewidth=2.2, linestyle="--", zorder=4,
-                           path_effects=edged()))
-
-
 def edged() -> list:
     """A dark rim that makes a light line visible on any background."""
     from matplotlib.patheffects import Normal, Stroke
@@ -318,13 +307,6 @@ def _draw_regimes(axes, plane: LandscapePlane, size: float) -> None:
             middle = np.exp(np.log(first[a]).mean()), np.exp(np.log(second[b]).mean())
             axes.text(*middle, str(number), fontsize=20 * size, fontweight="bold", color="white", ha="center", va="center",
                       path_effects=[withStroke(linewidth=3 * size, foreground="#202020")], clip_on=True)
-
-
-def _rectangles(x: np.ndarray, y: np.ndarray, mask: np.ndarray) -> np.ndarray:
-    """(N, 4, 2) corners of the rectangles that cover the cells in ``mask`` (A, B), each one cell wide along a."""
-    a, first, behind = _stretches(mask)
-    left, right, low, high = x[a], x[a + 1], y[first], y[behind]
-    return np.stack([np.stack([left, right, right, left], -1), np.stack([low, low, high, high], -1)], axis=-1)
 
 
 def _stretches(mask: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -54,8 +54,3 @@ def real_array(source: str, field: str, value, remedy: str, kinds: str = "fiu") 
     if array.dtype.kind not in kinds:
         raise InputError(source, field, f"dtype {array.dtype} is not numeric", remedy)
     return array
-
-
-def system_reason(error: Exception) -> str:
-    """The system's reason why a file cannot be read or written, in lower case, as an InputError's problem."""
-    return (getattr(error, "strerror", None) or str(error)).lower()

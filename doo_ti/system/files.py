@@ -16,7 +16,7 @@ from pathlib import Path
 from secrets import token_hex
 from typing import BinaryIO
 
-from doo_ti.system.errors import InputError, system_reason
+from doo_ti.system.errors import InputError
 
 try:
     from fcntl import LOCK_EX, LOCK_NB, flock
@@ -36,7 +36,7 @@ def read_content(path: Path, most: int = MOST_BYTES, remedy: str = "name a reada
         if stat.S_ISREG(found.st_mode) and found.st_size <= most:
             return Path(path).read_bytes()
     except (OSError, ValueError) as error:  # ValueError: a name that holds a null byte
-        raise InputError(path, "file", system_reason(error), remedy) from None
+        raise InputError(path, "file", (getattr(error, "strerror", None) or str(error)).lower(), remedy) from None
     if stat.S_ISDIR(found.st_mode):
         raise InputError(path, "file", "is a folder", remedy)
     if not stat.S_ISREG(found.st_mode):

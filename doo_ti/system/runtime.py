@@ -68,7 +68,9 @@ def start(threads: int | None = None, pinned: bool = True) -> str:
     with _one_at_a_time:
         state = taichi_internals.running()
         if _program is not state or state.prog is None:
-            _forget_arrays()
+            for array in _arrays.values():  # of a program that has ended: they would free themselves in the next one
+                array.arr = None
+            _arrays.clear()
             if state.prog is None:
                 _architecture, _of_user = _started(check_architecture(), threads, pinned), False
             else:
@@ -95,13 +97,6 @@ def array_for(key: Any, size: int, kind: Any) -> Any:
     if kept is None or kept.shape[0] < size:
         kept = _arrays[key] = ti.ndarray(kind, size if kept is None else max(size, 2 * kept.shape[0]))
     return kept
-
-
-def _forget_arrays() -> None:
-    """Forget the arrays of a program that has ended. They would free themselves in the next one."""
-    for array in _arrays.values():
-        array.arr = None
-    _arrays.clear()
 
 
 def check_architecture() -> str:

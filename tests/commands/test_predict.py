@@ -9,7 +9,7 @@ import pytest
 
 import doo_ti as d
 from doo_ti.commands.cli import main
-from doo_ti.commands.results import force_lines, plain
+from doo_ti.commands.results import force_rows, plain
 from doo_ti.dynamics.theta import MotionTheta, load_theta, save_form
 from doo_ti.rod.frames import quaternion_from_matrix
 from tests.commands.calls import made, refused, succeeded, written
@@ -219,7 +219,7 @@ def test_times_of_a_motion_are_kept_and_forces_are_in_newton(folder, capsys):
     newton = 0.01 * 9.80665 / 2 / 1000  # half the weight of a millimetre
     np.testing.assert_allclose(found["end_force_N"], newton * found["end_force"], rtol=1e-9)
     assert f"{np.linalg.norm(found['end_force_N'][-1], axis=-1).min():.3g}" in out and " N on the rod at the end" in out
-    found, = force_lines({"end_force_N": np.array([[[0, 0, 0.1]], [[-0.5, 0, 0]]])}, 1)
+    (_, found), = force_rows({"end_force_N": np.array([[[0, 0, 0.1]], [[-0.5, 0, 0]]])}, 1)
     assert "0.5 N (-0.5, 0, 0) on the rod" in found, "a clamp that pushes"
 
 
