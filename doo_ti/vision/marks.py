@@ -140,18 +140,10 @@ def _vertices(table: CsvTable) -> tuple[np.ndarray, np.ndarray, bool]:
     return vertex, (side == "R").astype(int), is_ribbon
 
 
-@dataclass(frozen=True)
-class MarkedRods:
-    """Observations of D rods, and how their frames came about."""
-
-    observations: Observations
-    # (D, E) bool: frames carried over from the nearest measured one, because a mark beside them has no position
-    frames_filled: np.ndarray
-
-
 def observe(marks: Marks, points: Points, rest_length: float | None = None, up=(0.0, 0.0, 1.0), name: str = "observations",
-            **labels) -> MarkedRods:
-    """The rods that ``points``, the triangulated ``marks.pixels`` as (C, P, 2), are marks of.
+            **labels) -> tuple[Observations, np.ndarray]:
+    """The rods that ``points``, the triangulated ``marks.pixels`` as (C, P, 2), are marks of; and (D, E) bool: frames that are
+    carried over from the nearest measured one, because a mark beside them has no position.
 
     rest_length  mm from each mark to the next along the rod; by default each edge's median over the observations
     up           (3,) against gravity
@@ -180,7 +172,7 @@ def observe(marks: Marks, points: Points, rest_length: float | None = None, up=(
         frames, filled = _ribbon_frames(observations, position[:, :, 1] - position[:, :, 0], marks)
         ends = {end: frames[:, edge] for end, edge in (("start_frame", 0), ("end_frame", -1)) if not filled[:, edge].any()}
         observations = replace(observations, frames=frames, **ends)
-    return MarkedRods(observations, filled)
+    return observations, filled
 
 
 def _ribbon_frames(observations: Observations, across: np.ndarray, marks: Marks) -> tuple[np.ndarray, np.ndarray]:
