@@ -122,10 +122,6 @@ class Mesh:
         slopes[rows, low], slopes[rows, low + 1] = -1.0, 1.0
         return weights, slopes
 
-    def nearest_two(self, place: np.ndarray) -> np.ndarray:
-        """(X, N + 1) shares of the vertices on either side in what hangs at arc lengths ``place`` (X,)."""
-        return values_at(place, self.place)[0]
-
     def slide(self, place: np.ndarray) -> np.ndarray:
         """(X, GEOMETRY) derivative of u = (s − s_0)/h at given arc lengths s."""
         u = (place - self.place[0]) / self.edge
