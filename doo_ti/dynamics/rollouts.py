@@ -105,15 +105,6 @@ def lay_out(motion: RecordedMotion, rest_length: np.ndarray, reference: np.ndarr
 
 
 @dataclass(frozen=True)
-class Nearby:
-    """Two values of Θ along a direction, and how far they are from each other in it."""
-
-    before: MotionTheta
-    after: MotionTheta
-    distance: float
-
-
-@dataclass(frozen=True)
 class Rollouts:
     """How the recordings of a motion are rolled out.
 
@@ -184,22 +175,24 @@ class Rollouts:
                 found = replace(found, **{name: np.concatenate([np.zeros_like(value[:, :1])] * 2 + [value], axis=1)})
         return positions, status, energies, found
 
-    def differentiated(self, theta: MotionTheta, directions: Sequence[Nearby]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def differentiated(self, theta: MotionTheta, directions: Sequence[tuple[MotionTheta, MotionTheta, float]]
+                       ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """(positions (R, T − 2, W, 3), their derivatives along P directions (R, P, T − 2, W, 3), status (R, T − 2)) of the W
-        vertices that :meth:`predicted` predicts."""
+        vertices that :meth:`predicted` predicts. A direction: two values of Θ, and how far apart they are along it."""
         if not self.through_steps:
             return self._differences(theta, directions)
-        along = [Direction(simulated([one.before]), simulated([one.after]), one.distance) for one in directions]
+        along = [Direction(simulated([before]), simulated([after]), distance) for before, after, distance in directions]
         found = self._rolled_out([theta], directions=along)
         rods, at, vertices = np.arange(self.motion.count)[:, None], self._at, self.motion.predicted
         slopes = np.moveaxis(found.slopes[rods, at, :, vertices], 2, 1)
         return found.positions[rods, at, vertices], slopes, found.status[rods, at]
 
-    def _differences(self, theta: MotionTheta, directions: Sequence[Nearby]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def _differences(self, theta: MotionTheta, directions) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """The same by differences; the status is the worst of all rollouts."""
-        positions, status = self.predicted([theta, *(one.before for one in directions), *(one.after for one in directions)])
+        befores, afters, distances = zip(*directions, strict=True)
+        positions, status = self.predicted([theta, *befores, *afters])
         positions, count = positions[:, :, 2:, self.motion.predicted], len(directions)
-        distance = np.array([one.distance for one in directions]).reshape(-1, 1, 1, 1)
+        distance = np.array(distances).reshape(-1, 1, 1, 1)
         slopes = (positions[:, 1 + count :] - positions[:, 1 : 1 + count]) / distance
         return positions[:, 0], slopes, status[:, :, 2:].max(axis=1)
 
