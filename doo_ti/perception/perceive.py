@@ -25,7 +25,7 @@ from numpy.typing import ArrayLike
 
 from doo_ti.contact.surroundings import Surroundings
 from doo_ti.perception.growth import rank_distinct
-from doo_ti.perception.posterior import COVERED
+from doo_ti.perception.posterior import COVERED, sharpened
 from doo_ti.perception.search import Finalists, Hypotheses, PerceptionOptions, Search, evidence, finalists, left_over
 from doo_ti.perception.traced import SAME_LENGTH
 from doo_ti.rod.types import LARGEST, Configuration, Material, Status, put_rods, unit_up
@@ -300,8 +300,7 @@ def perception_of(search: Search, final: Finalists, best: np.ndarray, others: np
         seen_length = np.where(hidden, 0.0, image_length)
         camera_error = np.einsum("ace,ace->ac", edge_error, seen_length) / seen_length.sum(axis=2)
         sigma = search.sigma(rods, start_sigma)
-    both = search.maps.detections is not None and options.evidence == "both"
-    errors = misread(search.rig, rods.vertices, search.maps.detections) if both else {
+    errors = misread(search.rig, rods.vertices, search.maps.detections) if search.both_ways else {
         name: np.zeros(image_length.shape[:2]) for name in ERRORS}
     return Perception(
         vertices=rods.vertices[:, :: options.pieces],
@@ -327,8 +326,12 @@ def perception_of(search: Search, final: Finalists, best: np.ndarray, others: np
 
 
 def _sharpened(search: Search, final: Finalists, best: np.ndarray, exact: np.ndarray) -> Finalists:
-    """``final`` with the rods ``best`` (A), one of each set, on the detected points themselves."""
-    rods, sound = search.sharpened(final.configuration.take(best), exact)
+    """``final`` with the rods ``best`` (A), one of each set, on the detected points themselves, where evidence counts both
+    ways. Where ``exact`` (A,) the first edge is held."""
+    if not search.both_ways:
+        return final
+    rods, sound = sharpened(final.configuration.take(best), search.rig, search.maps.detections, search.material, search.up,
+                            search.surroundings, exact, len(search.rest_length) + 1)
     if not sound.any():
         return final
     energy, found = evidence(search.rig, search.maps, rods, final.of_set[best], search.material, search.up, search.options,

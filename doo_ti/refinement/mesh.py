@@ -45,11 +45,6 @@ class Lengths:
         """(M,) arc length of the marks from the first one, mm."""
         return np.concatenate([[0.0], np.cumsum(self.spacing)])
 
-    @property
-    def mark_slope(self) -> np.ndarray:
-        """(M, M − 1) derivative of :attr:`mark_place` by the logarithm of each spacing."""
-        return np.tri(len(self.spacing) + 1, len(self.spacing), -1) * self.spacing
-
 
 @dataclass(frozen=True)
 class Mesh:

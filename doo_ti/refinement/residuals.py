@@ -186,7 +186,8 @@ class Comparison:
         lengths, shape = unknowns.lengths(values), found.configuration
         moved, turned = (slopes[:, rows] for slopes in unknowns.rod.clamp_slopes(lengths, unknowns.pose(values)))
         by_clamps = np.concatenate([*(moved if among else [moved[1] - moved[0]]), *turned], axis=1)
-        place, slope = lengths.mark_place, lengths.mark_slope
+        place, spacing = lengths.mark_place, lengths.spacing
+        slope = np.tri(len(place), len(spacing), -1) * spacing
         # Arc lengths of X places, their derivatives by the logarithms of the marks' spacings, weights of the interpolation
         # there and their derivatives by u, the vectors on the mesh (R, ·, 3), their derivatives, and the displacement of the
         # start, which carries the whole rod along.
