@@ -21,12 +21,10 @@ Axes: M marks, N edges of the mesh, K knots.
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-if TYPE_CHECKING:
-    from doo_ti.refinement.theta import Scales
+from doo_ti.refinement.theta import Scales
 
 GEOMETRY = 3  # columns of derivatives by both clip lengths and by L
 MOST_KNOTS = 16
@@ -135,7 +133,7 @@ class Field:
     components: int
     factor: float  # from the function to its unknowns
 
-    def covariance(self, scales: "Scales") -> tuple[np.ndarray, np.ndarray]:
+    def covariance(self, scales: Scales) -> tuple[np.ndarray, np.ndarray]:
         """(K, K) prior covariance of the unknowns of one component, and its derivative by ln ρ."""
         return covariance(self.knots, scales[self.name] * self.factor, scales[self.range])
 

@@ -17,6 +17,7 @@ from doo_ti.rod.frames import (
     smallest_rotation,
     some_frames,
     turned_about_tangent,
+    unit_vectors,
 )
 from doo_ti.rod.observations import Observations
 from doo_ti.rod.types import Clamp, Clamps, Configuration
@@ -49,7 +50,7 @@ def observation_clamps(observations: Observations, start: Clamp | None = None, e
                                  f"add {name}_frame (D, 3, 3), or clamp that end's tangent or position")
             frame = observations.frames[:, edge]
         kinds.append(kind)
-        frames.append(some_frames(_directions(observations)[:, edge]) if frame is None else
+        frames.append(some_frames(directions(observations)[:, edge]) if frame is None else
                       matrix_from_quaternion(quaternion_from_matrix(frame)))  # exactly orthonormal
     return Clamps(*kinds, vertices[:, 0], vertices[:, -1], *frames)
 
@@ -280,10 +281,9 @@ def on_equal_edges(observations: Observations, edges: int) -> Observations:
                    start_frame=start, end_frame=end, frames=None, sigma=None)
 
 
-def _directions(observations: Observations) -> np.ndarray:
+def directions(observations: Observations) -> np.ndarray:
     """(D, E, 3) unit directions of the observed edges."""
-    edges = np.diff(fill_missing(observations), axis=1)
-    return edges / np.linalg.norm(edges, axis=-1, keepdims=True)
+    return unit_vectors(np.diff(fill_missing(observations), axis=1))
 
 
 def _holds_spin(kind) -> np.ndarray:
@@ -292,7 +292,7 @@ def _holds_spin(kind) -> np.ndarray:
 
 def _bishop(observations: Observations, clamps: Clamps) -> np.ndarray:
     """(D, E, 3, 3) twist-free frames: clamped tangents at the ends, observed ones between, m1 from the start clamp."""
-    tangents = _directions(observations).copy()
+    tangents = directions(observations)
     for edge, kind, frame in ((0, clamps.start, clamps.start_frame), (-1, clamps.end, clamps.end_frame)):
         held = np.broadcast_to(np.asarray(kind) >= Clamp.TANGENT, observations.count)[:, None]
         tangents[:, edge] = np.where(held, frame[..., 0], tangents[:, edge])

@@ -102,9 +102,8 @@ def calibrate(points: np.ndarray, sightings: list[Sighting], sizes: dict[str, tu
     distortion  of COEFFICIENTS, how many of k1, k2, p1, p2, k3 are fitted, the others being 0. The fifth helps for wide lenses
                 whose images show corners up to the border; otherwise it only adds noise
 
-    Raises InputError, naming ``source``, for fewer than two cameras, for a camera with fewer than three views of the board or
-    without a view shared with the others, for a first view without board if that defines the world, and for views that do not
-    determine the cameras.
+    Raises InputError, naming ``source``, for a camera with fewer than three views of the board or without a view shared with
+    the others, for a first view without board if that defines the world, and for views that do not determine the cameras.
     """
     names = tuple(sizes)
     _check(sightings, names, world, source)
@@ -132,8 +131,6 @@ def calibrate(points: np.ndarray, sightings: list[Sighting], sizes: dict[str, tu
 
 
 def _check(sightings: list[Sighting], names: tuple[str, ...], world: str, source: str) -> None:
-    if len(names) < 2:
-        raise InputError(source, "cameras", f"{len(names)} of them", "give images of two cameras or more")
     for camera, name in enumerate(names):
         seen = sum(sighting.camera == camera for sighting in sightings)
         if seen < FEWEST_VIEWS:

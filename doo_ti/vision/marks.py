@@ -26,7 +26,7 @@ import numpy as np
 from doo_ti.io.arrays import CsvTable, read_csv
 from doo_ti.rod.frames import matrix_from_quaternion, smallest_rotation, unit_vectors
 from doo_ti.rod.observations import Observations
-from doo_ti.rod.start import fill_missing
+from doo_ti.rod.start import directions
 from doo_ti.system.errors import InputError
 from doo_ti.vision.triangulation import Points
 
@@ -177,7 +177,7 @@ def observe(marks: Marks, points: Points, rest_length: float | None = None, up=(
 
 def _ribbon_frames(observations: Observations, across: np.ndarray, marks: Marks) -> tuple[np.ndarray, np.ndarray]:
     """(D, E, 3, 3) frames of ribbons with ``across`` (D, V, 3) from left to right edge, and (D, E) where they are filled."""
-    tangent, valid = unit_vectors(np.diff(fill_missing(observations), axis=1)), observations.valid
+    tangent, valid = directions(observations), observations.valid
     unit = unit_vectors(np.where(valid[..., None], across, 0.0))
     director = unit[:, :-1] + unit[:, 1:]
     director = director - np.sum(director * tangent, axis=-1, keepdims=True) * tangent

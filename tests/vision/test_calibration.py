@@ -195,4 +195,3 @@ def test_what_does_not_determine_a_rig_is_refused(rng):
     assert calibrated(later, 4, world="camera").overall_rms < 0.2
     check_refused("cam1: .*2", calibrated, [entry for entry in seen if entry.camera != 1 or entry.view < 2], 4)
     check_refused("cam", calibrated, sightings(CHESSBOARD, rig, poses(CHESSBOARD, 1, rng) * 4, 0.1, rng), 4)
-    check_refused("two cameras", calibrated, seen, 4, Rig(rig.cameras[:1]))
