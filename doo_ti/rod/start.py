@@ -310,13 +310,17 @@ def _closing_angle(bishop: np.ndarray, clamps: Clamps) -> np.ndarray:
 def _twist_angles(bishop: np.ndarray, clamps: Clamps, rest_length: np.ndarray, turns: np.ndarray) -> np.ndarray:
     """(D, E) angles θ^j from the twist-free frames to the start's material frames (§III-C)."""
     closing = _closing_angle(bishop, clamps)
-    spread = rest_length[:-1] + rest_length[1:]
-    share = np.concatenate([[0.0], np.cumsum(spread) / spread.sum()])
     both = _holds_spin(clamps.start) & _holds_spin(clamps.end)
     # Where the start rolls freely the whole rod turns to meet the end's frame, without twist.
     total = np.where(both, closing + 2 * np.pi * turns, 0.0)
     offset = np.where(both, 0.0, closing)
-    return offset[:, None] + total[:, None] * share
+    return offset[:, None] + total[:, None] * twist_shares(rest_length)
+
+
+def twist_shares(rest_length: np.ndarray) -> np.ndarray:
+    """(E,) shares of the total twist up to each edge, in proportion to l̄_i of the joints."""
+    spread = rest_length[:-1] + rest_length[1:]
+    return np.concatenate([[0.0], np.cumsum(spread) / spread.sum()])
 
 
 def _clamped(quaternions: np.ndarray, kind, frame: np.ndarray) -> np.ndarray:
