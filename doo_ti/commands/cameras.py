@@ -11,13 +11,14 @@ from doo_ti.commands import options as given
 from doo_ti.commands.results import refuse_overwriting, report, shortened, status_text
 from doo_ti.io.observation_files import save_observations
 from doo_ti.rod.material import UNITS_IN_MM
+from doo_ti.rod.observations import Observations
 from doo_ti.system.arguments import counted
 from doo_ti.system.errors import InputError
 from doo_ti.system.terminal import in_line, progress
 from doo_ti.vision.board import FORMS, Views, find_sightings, parse_board, read_views
-from doo_ti.vision.calibration import COEFFICIENTS, WORLDS, Calibration, CalibrationOptions, calibrate
+from doo_ti.vision.calibration import COEFFICIENTS, WORLDS, Calibration, calibrate
 from doo_ti.vision.cameras import Rig
-from doo_ti.vision.marks import MarkedRods, Marks, observe, read_labels, read_marks
+from doo_ti.vision.marks import Marks, observe, read_labels, read_marks
 from doo_ti.vision.rig_files import save_rig
 from doo_ti.vision.triangulation import MarkStatus, Points, TriangulationOptions, triangulate
 
@@ -62,8 +63,7 @@ def run_calibrate(options: Namespace) -> int:
     with progress() as bar:
         task = bar.add_task("corners", total=len(views.images), unit="images")
         sightings, sizes = find_sightings(views, board, lambda: bar.advance(task), turned)
-    chosen = CalibrationOptions(world=options.world, distortion=options.distortion)
-    calibration = calibrate(board.points, sightings, sizes, len(views.names), chosen, views.source)
+    calibration = calibrate(board.points, sightings, sizes, len(views.names), options.world, options.distortion, views.source)
     save_rig(options.out, Rig(tuple(replace(camera, turned=turned) for camera in calibration.rig.cameras)))
     summary = _calibration_summary(views, calibration, options.out)
     summary["orientation"] = image_options.orientation_note(views.images.values(), turned)
@@ -134,9 +134,9 @@ def run_triangulate(options: Namespace) -> int:
     points = triangulate(rig, marks.pixels.reshape(len(rig.cameras), -1, 2), chosen)
     _check_reading(rig, marks, points, chosen)
     up = {} if options.up is None else {"up": options.up}
-    rods = observe(marks, points, options.rest_length, **up, name=options.out.stem, **labels)
-    save_observations(options.out, rods.observations)
-    summary = _marks_summary(marks, rig, points, rods, chosen, options.out)
+    observations, filled = observe(marks, points, options.rest_length, **up, name=options.out.stem, **labels)
+    save_observations(options.out, observations)
+    summary = _marks_summary(marks, rig, points, observations, filled, chosen, options.out)
     report(options, summary, lambda: _marks_lines(marks, summary))
     return 0
 
@@ -159,8 +159,8 @@ def _check_reading(rig: Rig, marks: Marks, points: Points, chosen: Triangulation
                                  f"contradict each other, of {labelled - valid} if {assumed}", f"give {option}")
 
 
-def _marks_summary(marks: Marks, rig: Rig, points: Points, rods: MarkedRods, chosen: TriangulationOptions, out: Path) -> dict:
-    observations = rods.observations
+def _marks_summary(marks: Marks, rig: Rig, points: Points, observations: Observations, filled: np.ndarray,
+                   chosen: TriangulationOptions, out: Path) -> dict:
     counts = {status.name.lower(): int(np.sum(points.status == status)) for status in MarkStatus}
     return {
         "observations": observations.count, "names": marks.names, "vertices": observations.edges + 1, "ribbon": marks.is_ribbon,
@@ -171,7 +171,7 @@ def _marks_summary(marks: Marks, rig: Rig, points: Points, rods: MarkedRods, cho
                    for camera, (name, used) in enumerate(zip(rig.names, points.used, strict=True))},
         "outliers": _unused_labels(marks, rig, points, MarkStatus.OUTLIER_LEFT_OUT),
         "contradictory": _unused_labels(marks, rig, points, MarkStatus.CONTRADICTORY),
-        "frames_filled": rods.frames_filled.sum(),
+        "frames_filled": filled.sum(),
         "end_frames": [end for end in ("start_frame", "end_frame") if getattr(observations, end) is not None],
         "out": str(out),
     }

@@ -64,8 +64,9 @@ class Distance:
     longer to compile."""
 
     def __init__(self, number, has_grid: bool):
+        lanes = number.lanes()
         self.tiny, self.has_grid = TINY, has_grid
-        self.lookup = GridLookup(number)
+        self.lane, self.with_lane, self.width, self.scalar = lanes.lane, lanes.with_lane, number.width, number.scalar
 
     def unit(self, normal):
         """A normal over its length, which only of a grid is not one."""
@@ -171,7 +172,7 @@ class Distance:
 
     def last(self, grids: ti.template(), index, k: ti.template()):
         """The largest place along an axis of a grid."""
-        return ti.cast(grids[HEADER * index + 1 + k] - 3.0, self.lookup.scalar)
+        return ti.cast(grids[HEADER * index + 1 + k] - 3.0, self.scalar)
 
     def grid(self, own, grids: ti.template(), index, away, seen):
         """A grid, by its spline at the nearest point of its box, which lies ``beyond`` that."""
@@ -184,7 +185,7 @@ class Distance:
         beyond = scaled(minus(exact, place), spacing)
         inside = (ti.select(beyond[0] == zero, one, zero), ti.select(beyond[1] == zero, one, zero),
                   ti.select(beyond[2] == zero, one, zero))
-        found = self.lookup.look_up(grids, index, place)
+        found = self.look_up(grids, index, place)
         value, square = spacing * found.value, dot(beyond, beyond)
         outside = square > 0.0
         whole = ti.sqrt(value * value + square + self.tiny)
@@ -198,18 +199,9 @@ class Distance:
         seen.normal = applied(transposed(axes), chosen(outside, slant, found.slope))
         seen.curvature = turned(chosen(outside, slanting, bend), axes)
 
-
-@device_functions
-class GridLookup:
-    """The spline and its derivatives in the axes of a grid, for one kind of number."""
-
-    def __init__(self, number):
-        lanes = number.lanes()
-        self.lane, self.with_lane, self.width, self.scalar = lanes.lane, lanes.with_lane, number.width, number.scalar
-
     def look_up(self, grids: ti.template(), index, place):
-        """Of grid ``index`` at ``place``, which is inside it, in spacings from its first point: a record of ``value``, over the
-        spacing, ``slope`` (3,) and ``bend`` (6,), first and second derivatives by ``place``."""
+        """The spline of grid ``index`` at ``place``, which is inside it, in its axes and in spacings from its first point: a
+        record of ``value``, over the spacing, ``slope`` (3,) and ``bend`` (6,), first and second derivatives by ``place``."""
         zero = 0.0 * place[0]
         found = record(value=zero, slope=repeated(zero, 3), bend=repeated(zero, 6))
         first = ti.cast(grids[HEADER * index], ti.i32)

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 from numpy.typing import ArrayLike
 
+from doo_ti.rod.frames import unit_vectors
 from doo_ti.system.arguments import typed
 from doo_ti.system.errors import InputError, real_array
 
@@ -319,10 +320,8 @@ def require_rotation(name: str, rotation: np.ndarray) -> None:
 
 def axes_about(direction: np.ndarray) -> np.ndarray:
     """(rows, 3, 3) three axes as columns, the third along ``direction`` (rows, 3)."""
-    third = direction / np.linalg.norm(direction, axis=-1, keepdims=True)
-    helper = np.where(np.abs(third[:, :1]) < 0.7, [[1.0, 0.0, 0.0]], [[0.0, 1.0, 0.0]])
-    first = np.cross(helper, third)
-    first /= np.linalg.norm(first, axis=-1, keepdims=True)
+    third = unit_vectors(direction)
+    first = unit_vectors(np.cross(np.where(np.abs(third[:, :1]) < 0.7, [[1.0, 0.0, 0.0]], [[0.0, 1.0, 0.0]]), third))
     return np.stack([first, np.cross(third, first), third], axis=-1)
 
 

@@ -123,8 +123,7 @@ def cubic(points: np.ndarray, parts: int) -> np.ndarray:
 def turning(frames: np.ndarray, parts: int) -> np.ndarray:
     """(S, (T − 1) parts + 1, 3, 3) frames between (S, T, 3, 3): cubics through their quaternions, the shorter way from each to
     the next, normalised. A speed of turning that jumps would be a blow to the rod at every instant, however small the steps."""
-    between = cubic(of_like_signs(quaternion_from_matrix(frames)), parts)
-    return matrix_from_quaternion(between / np.linalg.norm(between, axis=-1, keepdims=True))
+    return matrix_from_quaternion(unit_vectors(cubic(of_like_signs(quaternion_from_matrix(frames)), parts)))
 
 
 def clamp_path(grippers: Grippers, start: Configuration, steps: slice) -> np.ndarray:

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from doo_ti.contact.surroundings import Surroundings
 from doo_ti.dynamics.parameters import Stepping
 from doo_ti.dynamics.recorded import RecordedMotion
-from doo_ti.dynamics.rollouts import Nearby, Rollouts, require_smoothing, roll_reference
+from doo_ti.dynamics.rollouts import Rollouts, require_smoothing, roll_reference
 from doo_ti.dynamics.theta import MotionTheta, Stills, Unknowns
 from doo_ti.rod.observations import Observations
 from doo_ti.rod.types import Clamp, Status
@@ -255,12 +255,12 @@ class _Fit:
             total += self.cost(np.sqrt(part.weight) * apart[part.used, None]).sum()
         return total
 
-    def direction(self, p, entry: int) -> Nearby:
-        """Along one entry of p, within its bounds."""
+    def direction(self, p, entry: int) -> tuple[MotionTheta, MotionTheta, float]:
+        """Two values of Θ along one entry of p, within its bounds, and how far apart they are."""
         before, after, step = p.copy(), p.copy(), STEP if self.rollouts.through_steps else LONG_STEP
         before[entry] = max(p[entry] - step, self.unknowns.lower[entry])
         after[entry] = min(p[entry] + step, self.unknowns.upper[entry])
-        return Nearby(self.unknowns.theta(before), self.unknowns.theta(after), after[entry] - before[entry])
+        return self.unknowns.theta(before), self.unknowns.theta(after), after[entry] - before[entry]
 
     def cost(self, residual: np.ndarray) -> np.ndarray:
         """(R,) Σ ρ of each recording, mm²; infinite where it failed."""

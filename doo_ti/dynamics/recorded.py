@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 
 from doo_ti.dynamics.parameters import LEAST_RATE, MOST_RATE
 from doo_ti.io.observation_files import read_recording
+from doo_ti.rod.observations import median_of_seen
 from doo_ti.rod.types import Rows
 from doo_ti.system.arguments import short_repr, typed
 from doo_ti.system.errors import InputError
@@ -80,7 +81,7 @@ class RecordedMotion:
         if (np.abs(positions) > MOST_MM).any():
             raise InputError(source, "positions_mm", f"up to {np.abs(positions).max():.3g} mm from the origin", "give mm")
         names = tuple(str(k) for k in (range(len(positions)) if names is None else names))
-        held = gripped_vertices(free_end)
+        held = GRIPPED[:2] if free_end else GRIPPED
         confused = confused_frames(positions)
         confused[:, :, len(held) // 2 :] = FINE
         lost = np.argwhere((confused == LOST).all(axis=1))
@@ -146,7 +147,7 @@ class RecordedMotion:
     @property
     def gripped(self) -> tuple[int, ...]:
         """The vertices that grippers hold."""
-        return gripped_vertices(self.free_end)
+        return GRIPPED[:2] if self.free_end else GRIPPED
 
     @property
     def predicted(self) -> slice:
@@ -195,11 +196,6 @@ class RecordedMotion:
         return lines
 
 
-def gripped_vertices(free_end: bool) -> tuple[int, ...]:
-    """The vertices that grippers hold: of both ends, or of the first alone."""
-    return GRIPPED[:2] if free_end else GRIPPED
-
-
 def _filled(positions: np.ndarray, path: str | Path) -> np.ndarray:
     """Positions (R, T, V, 3) with gaps closed by lines in time. Raises InputError for a marker that was never seen."""
     result = positions.copy()
@@ -227,7 +223,7 @@ def elapsed_steps(held: np.ndarray) -> np.ndarray:
     usual = np.nanmedian(around, axis=0)
     square = np.sum(usual**2, axis=(-2, -1))
     # Longer than the moves on both sides: a gripper that starts or stops at once moves usually on one of them.
-    sides = np.stack([_median(around[:NEIGHBOURS]), _median(around[NEIGHBOURS:])])
+    sides = np.stack([median_of_seen(around[:NEIGHBOURS]), median_of_seen(around[NEIGHBOURS:])])
     fastest = np.nanmax(np.sum(sides**2, axis=(-2, -1)), axis=0)
     number = np.sum(moves * usual, axis=(-2, -1)) / np.maximum(square, 1e-12)
     left = np.sum((moves - number[..., None, None] * usual) ** 2, axis=(-2, -1))
@@ -237,12 +233,6 @@ def elapsed_steps(held: np.ndarray) -> np.ndarray:
     steps = np.ones(held.shape[:2], dtype=np.int64)
     steps[:, 1:][lost] = np.clip(np.rint(number[lost]), 1, MOST_LOST).astype(np.int64)
     return steps
-
-
-def _median(values: np.ndarray) -> np.ndarray:
-    """Over the first axis, NaN only where there is nothing else."""
-    some = np.isfinite(values).any(axis=0)
-    return np.where(some, np.nanmedian(np.where(some, values, 0.0), axis=0), np.nan)
 
 
 def confused_frames(positions: np.ndarray) -> np.ndarray:

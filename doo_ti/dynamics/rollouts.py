@@ -41,22 +41,15 @@ def require_smoothing(source: str, field: str, frames: int) -> None:
 class Layout:
     """A recorded motion as a simulation begins it: from frames 0 and 1 or, smoothed, from the first few."""
 
-    start: Configuration  # R rods at frame 1
-    velocity: np.ndarray  # (R, V, 3) mm/s there
+    start: MovingStart  # R rods at frame 1
     grippers: Grippers  # at every step from frame 1 on, missing frames included
     steps: np.ndarray  # (R, T − 1) the step of each frame from 1 on
-    rate: float  # steps per second
     smoothing: int  # frames that parabolas were fitted through
-
-    @property
-    def velocity_age(self) -> float:
-        """s before frame 1 for which the velocity holds: a difference of two frames is that of the middle between them."""
-        return 0.5 / self.rate if self.smoothing == 1 else 0.0
 
     @property
     def held(self) -> np.ndarray:
         """(R, 2 · steps, 3) mm, or twice as many: where the grippers hold the ends of the first and the last edge."""
-        grippers, lengths = self.grippers, self.start.rest_length
+        grippers, lengths = self.grippers, self.start.configuration.rest_length
         places = [grippers.start_position, grippers.start_position + lengths[0] * grippers.start_frame[..., 0]]
         if grippers.end != Clamp.FREE:
             places += [grippers.end_position, grippers.end_position - lengths[-1] * grippers.end_frame[..., 0]]
@@ -100,17 +93,9 @@ def lay_out(motion: RecordedMotion, rest_length: np.ndarray, reference: np.ndarr
     # A free end does not read its frames.
     last = first if motion.free_end else edge_frames(expanded[:, :, 3] - expanded[:, :, 2], frames[:, -1, :, 1])
     grippers = Grippers(Clamp.FRAME, end, expanded[:, :, 0], expanded[:, :, -1], first, last)
-    start = Configuration(x[:, 0].copy(), quaternion_from_matrix(frames), rest_length)
-    return Layout(start, velocity, grippers, steps, motion.rate, smoothing)
-
-
-@dataclass(frozen=True)
-class Nearby:
-    """Two values of Θ along a direction, and how far they are from each other in it."""
-
-    before: MotionTheta
-    after: MotionTheta
-    distance: float
+    rods = Configuration(x[:, 0].copy(), quaternion_from_matrix(frames), rest_length)
+    age = 0.5 / motion.rate if smoothing == 1 else 0.0  # a difference of two frames holds for the middle between them
+    return Layout(MovingStart(rods, velocity, age), grippers, steps, smoothing)
 
 
 @dataclass(frozen=True)
@@ -184,22 +169,24 @@ class Rollouts:
                 found = replace(found, **{name: np.concatenate([np.zeros_like(value[:, :1])] * 2 + [value], axis=1)})
         return positions, status, energies, found
 
-    def differentiated(self, theta: MotionTheta, directions: Sequence[Nearby]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def differentiated(self, theta: MotionTheta, directions: Sequence[tuple[MotionTheta, MotionTheta, float]]
+                       ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """(positions (R, T − 2, W, 3), their derivatives along P directions (R, P, T − 2, W, 3), status (R, T − 2)) of the W
-        vertices that :meth:`predicted` predicts."""
+        vertices that :meth:`predicted` predicts. A direction: two values of Θ, and how far apart they are along it."""
         if not self.through_steps:
             return self._differences(theta, directions)
-        along = [Direction(simulated([one.before]), simulated([one.after]), one.distance) for one in directions]
+        along = [Direction(simulated([before]), simulated([after]), distance) for before, after, distance in directions]
         found = self._rolled_out([theta], directions=along)
         rods, at, vertices = np.arange(self.motion.count)[:, None], self._at, self.motion.predicted
         slopes = np.moveaxis(found.slopes[rods, at, :, vertices], 2, 1)
         return found.positions[rods, at, vertices], slopes, found.status[rods, at]
 
-    def _differences(self, theta: MotionTheta, directions: Sequence[Nearby]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def _differences(self, theta: MotionTheta, directions) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """The same by differences; the status is the worst of all rollouts."""
-        positions, status = self.predicted([theta, *(one.before for one in directions), *(one.after for one in directions)])
+        befores, afters, distances = zip(*directions, strict=True)
+        positions, status = self.predicted([theta, *befores, *afters])
         positions, count = positions[:, :, 2:, self.motion.predicted], len(directions)
-        distance = np.array([one.distance for one in directions]).reshape(-1, 1, 1, 1)
+        distance = np.array(distances).reshape(-1, 1, 1, 1)
         slopes = (positions[:, 1 + count :] - positions[:, 1 : 1 + count]) / distance
         return positions[:, 0], slopes, status[:, :, 2:].max(axis=1)
 
@@ -213,11 +200,10 @@ class Rollouts:
         count, each, layout = self.motion.count, len(thetas), self.layout
         pairs = np.repeat(np.arange(count), each), np.tile(np.arange(each), count)
         material, dynamics = simulated(thetas)
-        start = MovingStart(layout.start, layout.velocity, layout.velocity_age)
         surroundings = self.surroundings.take(pairs[0])
         if thetas[0].friction is not None:
             surroundings = surroundings.rubbing(np.array([theta.friction for theta in thetas])[pairs[1]])
-        return simulate(start, material, layout.grippers, dynamics, self.stepping, up=thetas[0].up, pairs=pairs,
+        return simulate(layout.start, material, layout.grippers, dynamics, self.stepping, up=thetas[0].up, pairs=pairs,
                         **surroundings.arguments, **more)
 
     def _shown(self, found: Trajectory, each: int) -> tuple[np.ndarray, np.ndarray]:

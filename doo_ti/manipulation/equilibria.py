@@ -181,11 +181,6 @@ class Equilibria:
         return self.clearance.length
 
     @property
-    def held_anchor(self) -> bool:
-        """Whether the anchor is held by a gripper that does not move."""
-        return not (self.moves[:6].any() and self.moves[6:].any())
-
-    @property
     def anchor(self) -> int:
         """The edge whose pose is interpolated: one that is held, or the middle one."""
         start, end = self.moves[:6].any(), self.moves[6:].any()

@@ -24,7 +24,7 @@ from doo_ti.contact.surroundings import Surroundings
 from doo_ti.io.motion_file import ClampPath
 from doo_ti.manipulation.equilibria import CLEAR, Clearance, Equilibria, Shapes, States, Tree, joined_states
 from doo_ti.manipulation.model import Model, change_between
-from doo_ti.manipulation.targets import ServoOptions, Targets, all_goals, require_free
+from doo_ti.manipulation.targets import ServoOptions, Targets, fitted_guesses, require_free
 from doo_ti.motion.predict import predict
 from doo_ti.rod.material import Material, doubt_marks
 from doo_ti.rod.types import POSES, Clamp, Clamps, Configuration, unit_up
@@ -106,23 +106,75 @@ def plan_manipulation(rod: Configuration, material: Material, clamps: Clamps, ta
     moves = ServoOptions(free=options.free).moves
     space = Equilibria(material, Clearance(surroundings, float(rod.rest_length.sum()), rod.edges), up, clamps, moves,
                        options.lever_mm)
-    return _Planner(space, rod, clamps, targets, options).path(ends)
+    return _Planner(space, rod, clamps, targets, options, ends).path()
 
 
-class Search:
-    """The ways from ``begin``, one rod, to ``goals``.
+class _Planner:
+    """One plan: where it begins, what it may lead to, and the ways between. Nothing is searched after ``ends`` of
+    :func:`.working_time`."""
 
-    space    the equilibria
-    ends     of :func:`.working_time`: nothing is searched later
-    """
-
-    def __init__(self, begin: Tree, goals: Tree, space: Equilibria, ends: float, seed: int):
-        self._start, self._goals, self._space, self._ends = begin, goals, space, ends
-        self._random = np.random.default_rng(seed)
-        places = np.concatenate([tree.rods.vertices.reshape(-1, 3) for tree in (begin, goals)])
+    def __init__(self, space: Equilibria, rod: Configuration, clamps: Clamps, targets: Targets, options: PlanOptions,
+                 ends: float):
+        self._space, self._targets, self._options, self._ends = space, targets, options, ends
+        self._begin, goals = self._begin_and_goals(rod, clamps)
+        self._start, self._goals = Tree(self._begin.rods, space), Tree(goals, space)
+        self._random = np.random.default_rng(options.seed)
+        places = np.concatenate([tree.rods.vertices.reshape(-1, 3) for tree in (self._start, self._goals)])
         self._low, self._high = places.min(axis=0) - AROUND * space.length, places.max(axis=0) + AROUND * space.length
 
-    def found(self) -> Iterator[tuple[list[int], list[int]]]:
+    def _begin_and_goals(self, rod: Configuration, clamps: Clamps) -> tuple[States, Configuration]:
+        """The rod at rest, and its goals. These touch obstacles only where none that is as near as is asked does not. Raises
+        InputError for a rod that is not at rest."""
+        options, space = self._options, self._space
+        servo = ServoOptions(free=options.free, lever_mm=options.lever_mm, reached_mm=options.reached_mm)
+        model = Model(space.material, np.zeros((1, 12)), space.up, space.clearance.surroundings)
+        begin = model.relaxed(rod, clamps)
+        if not (begin.converged & begin.stable).all():
+            raise InputError("plan_manipulation", "rod", "no stable equilibrium under its clamps",
+                             "give a rod at rest under them")
+        for around in (Surroundings(), model.surroundings)[: 1 + bool(model.surroundings)]:
+            goals = fitted_guesses(begin.configuration, clamps, replace(model, surroundings=around), self._targets, servo)
+            clear = np.isfinite(goals.distance) & (bool(around) | (space.clearance.of(goals.rods.vertices) > 0))
+            nearest_first = np.argsort(goals.distance, kind="stable")
+            goals = goals.take(nearest_first[clear[nearest_first]])
+            if goals.distance.min(initial=np.inf) <= options.reached_mm:
+                break
+        here = self._targets.distance(begin.configuration.vertices)[0]
+        nearest = goals.distance.min(initial=here)
+        near = np.flatnonzero((goals.distance <= max(options.reached_mm, NEARLY * nearest)) & (goals.distance < here))
+        near = self._different(begin.configuration, goals.rods, near)
+        return States(begin.configuration, clamps, np.zeros(1, dtype=bool)), goals.rods.take(near)
+
+    def _different(self, begin: Configuration, rods: Configuration, rows: np.ndarray) -> np.ndarray:
+        """Those ``rows`` of which no other has the same shape and needs the grippers to roll less from ``begin`` on."""
+        shapes, space = rods.vertices[rows], self._space
+        away = space.shapes(begin).take(np.zeros(len(rows), dtype=int)).apart(space.shapes(rods.take(rows)), space.lever)
+        same = space.same(shapes[:, None], shapes)
+        return rows[(away[:, None] <= np.where(same, away, np.inf)).all(axis=1)]
+
+    def path(self) -> ManipulationPath:
+        """The path to a goal, or to the nearest node."""
+        start, goals, best = self._start, self._goals, None
+        if not goals.rods.count:
+            return self._followed(joined_states([self._begin, self._begin]))[0]
+        # What was joined from states may part where branches are near each other: the search then goes on.
+        for first, last in self._found():
+            states, leg = self._states(first, last)
+            for own in (self._shortened(states), states):
+                path, broken = self._followed(own)
+                if broken == own.rods.count:
+                    return path
+                best = path if best is None or path.distance < best.distance else best
+            if leg[broken] < len(first) - 1:
+                start.cut(first[leg[broken] + 1])
+            else:
+                goals.cut(last[max(leg[broken] - len(first), 0)])
+        every = np.zeros(start.rods.count, dtype=int)
+        distance = np.where(start.alive, self._targets.take(every).distance(start.rods.vertices), np.inf)
+        path, _ = self._followed(self._states(start.branch(int(np.argmin(distance))), [])[0])
+        return path if best is None or path.distance < best.distance else best
+
+    def _found(self) -> Iterator[tuple[list[int], list[int]]]:
         """Ways to the goals as nodes of the tree of the start and then of that of the goals, as long as there is time.
         They meet in one rod, which is a node of both."""
         start, goals = self._start, self._goals
@@ -143,7 +195,7 @@ class Search:
                 own, rest = tree.branch(int(nodes[row])), other.branch(int(new[row]))
                 yield (own, rest[::-1]) if tree is self._start else (rest, own[::-1])
 
-    def shortened(self, states: States) -> States:
+    def _shortened(self, states: States) -> States:
         """The states of a way without detours: a straight way between two of them, again and again."""
         for _ in range(SHORTCUTS):
             count = states.rods.count
@@ -166,76 +218,16 @@ class Search:
         """Random rods at rest."""
         rest_length, anchor = self._start.rods.rest_length, self._space.anchor
         shapes = Shapes.at_random(SAMPLES, self._low, self._high, rest_length, anchor, self._random)
-        if self._space.held_anchor:
+        if not (self._space.moves[:6].any() and self._space.moves[6:].any()):  # a gripper that does not move holds the anchor
             first = self._space.shapes(self._start.rods.take(np.zeros(len(shapes.place), dtype=int)))
             shapes = replace(shapes, place=first.place, frame=first.frame)
         states, sound = self._space.at_rest(shapes, np.zeros(SAMPLES, dtype=bool))
         return states.rods.take(np.flatnonzero(sound))
 
-
-class _Planner:
-    """One plan: where it begins and what it may lead to."""
-
-    def __init__(self, space: Equilibria, rod: Configuration, clamps: Clamps, targets: Targets, options: PlanOptions):
-        self._space, self._targets, self._options = space, targets, options
-        self._begin, self._goals = self._ends(rod, clamps)
-
-    def _ends(self, rod: Configuration, clamps: Clamps) -> tuple[States, Configuration]:
-        """The rod at rest, and its goals. These touch obstacles only where none that is as near as is asked does not. Raises
-        InputError for a rod that is not at rest."""
-        options, space = self._options, self._space
-        servo = ServoOptions(free=options.free, lever_mm=options.lever_mm, reached_mm=options.reached_mm)
-        model = Model(space.material, np.zeros((1, 12)), space.up, space.clearance.surroundings)
-        begin = model.relaxed(rod, clamps)
-        if not (begin.converged & begin.stable).all():
-            raise InputError("plan_manipulation", "rod", "no stable equilibrium under its clamps",
-                             "give a rod at rest under them")
-        for around in (Surroundings(), model.surroundings)[: 1 + bool(model.surroundings)]:
-            goals = all_goals(begin.configuration, clamps, replace(model, surroundings=around), self._targets, servo)
-            clear = np.isfinite(goals.distance) & (bool(around) | (space.clearance.of(goals.rods.vertices) > 0))
-            goals = goals.take(np.flatnonzero(clear))
-            if goals.distance.min(initial=np.inf) <= options.reached_mm:
-                break
-        here = self._targets.distance(begin.configuration.vertices)[0]
-        nearest = goals.distance.min(initial=here)
-        near = np.flatnonzero((goals.distance <= max(options.reached_mm, NEARLY * nearest)) & (goals.distance < here))
-        near = self._different(begin.configuration, goals.rods, near)
-        return States(begin.configuration, clamps, np.zeros(1, dtype=bool)), goals.rods.take(near)
-
-    def _different(self, begin: Configuration, rods: Configuration, rows: np.ndarray) -> np.ndarray:
-        """Those ``rows`` of which no other has the same shape and needs the grippers to roll less from ``begin`` on."""
-        shapes, space = rods.vertices[rows], self._space
-        away = space.shapes(begin).take(np.zeros(len(rows), dtype=int)).apart(space.shapes(rods.take(rows)), space.lever)
-        same = space.same(shapes[:, None], shapes)
-        return rows[(away[:, None] <= np.where(same, away, np.inf)).all(axis=1)]
-
-    def path(self, ends: float) -> ManipulationPath:
-        """The path to a goal, or to the nearest node."""
-        if not self._goals.count:
-            return self._followed(joined_states([self._begin, self._begin]))[0]
-        start, goals = Tree(self._begin.rods, self._space), Tree(self._goals, self._space)
-        search, best = Search(start, goals, self._space, ends, self._options.seed), None
-        # What was joined from states may part where branches are near each other: the search then goes on.
-        for first, last in search.found():
-            states, leg = self._states(start, first, goals, last)
-            for own in (search.shortened(states), states):
-                path, broken = self._followed(own)
-                if broken == own.rods.count:
-                    return path
-                best = path if best is None or path.distance < best.distance else best
-            if leg[broken] < len(first) - 1:
-                start.cut(first[leg[broken] + 1])
-            else:
-                goals.cut(last[max(leg[broken] - len(first), 0)])
-        every = np.zeros(start.rods.count, dtype=int)
-        distance = np.where(start.alive, self._targets.take(every).distance(start.rods.vertices), np.inf)
-        path, _ = self._followed(self._states(start, start.branch(int(np.argmin(distance))), goals, [])[0])
-        return path if best is None or path.distance < best.distance else best
-
-    def _states(self, start: Tree, first: list[int], goals: Tree, last: list[int]) -> tuple[States, np.ndarray]:
+    def _states(self, first: list[int], last: list[int]) -> tuple[States, np.ndarray]:
         """All states of the way through nodes of both trees, and after which of these, in that order, each comes."""
         nodes = Configuration.concatenate([tree.rods.take(np.array(own, dtype=np.int64))
-                                           for tree, own in ((start, first), (goals, last))])
+                                           for tree, own in ((self._start, first), (self._goals, last))])
         if nodes.count < 2:
             return joined_states([self._begin, self._begin]), np.zeros(2, dtype=int)
         own = np.arange(nodes.count - 1)

@@ -241,18 +241,12 @@ class Goal:
 
 def nearest_goal(rods: Configuration, clamps: Clamps, model: Model, targets: Targets, options: ServoOptions) -> Goal:
     """The rods' goals: of several guesses, each drawn to its target and fitted, those that come nearest."""
-    fitted = _fitted_guesses(rods, clamps, model, targets, options)
+    fitted = fitted_guesses(rods, clamps, model, targets, options)
     best = np.argmin(fitted.distance.reshape(GUESSES, rods.count), axis=0)
     return fitted.take(best * rods.count + np.arange(rods.count))
 
 
-def all_goals(rods: Configuration, clamps: Clamps, model: Model, targets: Targets, options: ServoOptions) -> Goal:
-    """The goals of one rod that all guesses lead to, the nearest first."""
-    fitted = _fitted_guesses(rods, clamps, model, targets, options)
-    return fitted.take(np.argsort(fitted.distance, kind="stable"))
-
-
-def _fitted_guesses(rods: Configuration, clamps: Clamps, model: Model, targets: Targets, options: ServoOptions) -> Goal:
+def fitted_guesses(rods: Configuration, clamps: Clamps, model: Model, targets: Targets, options: ServoOptions) -> Goal:
     """The goals (K·B) that all guesses lead to."""
     drawn, grippers = _guesses(rods, clamps, model, targets, options)
     rows = np.tile(np.arange(rods.count), GUESSES)

@@ -25,14 +25,14 @@ from numpy.typing import ArrayLike
 
 from doo_ti.contact.surroundings import Surroundings
 from doo_ti.perception.growth import rank_distinct
-from doo_ti.perception.posterior import COVERED
+from doo_ti.perception.posterior import COVERED, sharpened
 from doo_ti.perception.search import Finalists, Hypotheses, PerceptionOptions, Search, evidence, finalists, left_over
 from doo_ti.perception.traced import SAME_LENGTH
 from doo_ti.rod.types import LARGEST, Configuration, Material, Status, put_rods, unit_up
 from doo_ti.system.arguments import short_repr, typed
 from doo_ti.system.errors import InputError
 from doo_ti.vision.cameras import Rig
-from doo_ti.vision.distance_map import DistanceMaps, Misread, misread
+from doo_ti.vision.distance_map import ERRORS, DistanceMaps, misread
 
 CLEAR_PX, AMBIGUOUS_PX = 0.1, 0.02
 """Bounds of the gap: the first is larger than the mean error of detected lines; the second is smaller than the difference of
@@ -300,10 +300,8 @@ def perception_of(search: Search, final: Finalists, best: np.ndarray, others: np
         seen_length = np.where(hidden, 0.0, image_length)
         camera_error = np.einsum("ace,ace->ac", edge_error, seen_length) / seen_length.sum(axis=2)
         sigma = search.sigma(rods, start_sigma)
-    both = search.maps.detections is not None and options.evidence == "both"
-    errors = Misread(*np.zeros((4, *image_length.shape[:2])))
-    if both:
-        errors = misread(search.rig, rods.vertices, search.maps.detections)
+    errors = misread(search.rig, rods.vertices, search.maps.detections) if search.both_ways else {
+        name: np.zeros(image_length.shape[:2]) for name in ERRORS}
     return Perception(
         vertices=rods.vertices[:, :: options.pieces],
         configuration=rods,
@@ -319,11 +317,8 @@ def perception_of(search: Search, final: Finalists, best: np.ndarray, others: np
         gap=worse / (options.nu * image_length.sum(axis=(1, 2))),
         edge_error=edge_error,
         unsupported=(edge_error > options.unsupported).all(axis=1),
-        coverage=final.coverage[best] / (1 - errors.outside),
-        outside=errors.outside,
-        skipped=errors.skipped,
-        twice=errors.twice,
-        wider=errors.wider,
+        coverage=final.coverage[best] / (1 - errors["outside"]),
+        **errors,
         thread_length=final.thread[best],
         left_over=left_over(final, best, image_length.sum(axis=2), search.rest_length.sum()),
         length_range=np.full((len(best), 2), np.nan),
@@ -331,8 +326,12 @@ def perception_of(search: Search, final: Finalists, best: np.ndarray, others: np
 
 
 def _sharpened(search: Search, final: Finalists, best: np.ndarray, exact: np.ndarray) -> Finalists:
-    """``final`` with the rods ``best`` (A), one of each set, on the detected points themselves."""
-    rods, sound = search.sharpened(final.configuration.take(best), exact)
+    """``final`` with the rods ``best`` (A), one of each set, on the detected points themselves, where evidence counts both
+    ways. Where ``exact`` (A,) the first edge is held."""
+    if not search.both_ways:
+        return final
+    rods, sound = sharpened(final.configuration.take(best), search.rig, search.maps.detections, search.material, search.up,
+                            search.surroundings, exact, len(search.rest_length) + 1)
     if not sound.any():
         return final
     energy, found = evidence(search.rig, search.maps, rods, final.of_set[best], search.material, search.up, search.options,

@@ -17,7 +17,7 @@ import numpy as np
 
 from doo_ti.contact.surroundings import Surroundings
 from doo_ti.perception.growth import Hypotheses, sampled_directions, select_hypotheses, suppress_similar
-from doo_ti.perception.posterior import detected_places, line_scatter, sharpened, vertex_sigma
+from doo_ti.perception.posterior import detected_places, line_scatter, vertex_sigma
 from doo_ti.perception.traced import SAME_LENGTH, whole_rods
 from doo_ti.relaxation.newton import Newton
 from doo_ti.relaxation.relax import relax
@@ -192,14 +192,10 @@ class Search:
         edges = hypotheses.quaternions.shape[1]
         return Configuration(self.point[hypotheses.of_set], hypotheses.quaternions, self.rest_length[:edges]).vertices
 
-    def sharpened(self, rods: Configuration, exact: np.ndarray) -> tuple[Configuration, np.ndarray]:
-        """One rod of each set, whose edges are cut into pieces, relaxed to the detected points, and (A,) bool: those that were.
-        None are where detections are unknown, or with the paper's one-sided evidence. Where ``exact`` (A,) the first edge is
-        held."""
-        if self.maps.detections is None or self.options.evidence == "rod":
-            return rods, np.zeros(len(rods.start), dtype=bool)
-        return sharpened(rods, self.rig, self.maps.detections, self.material, self.up, self.surroundings, exact,
-                         len(self.rest_length) + 1)
+    @property
+    def both_ways(self) -> bool:
+        """Whether what the images show counts as well: not with the paper's evidence, nor where detections are unknown."""
+        return self.maps.detections is not None and self.options.evidence == "both"
 
     def reprojected(self, vertices: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """(A, C, E) px twice: mean distance to the detection along the image of each edge, and the length of that image."""
@@ -292,7 +288,7 @@ def explained(search: Search, hypotheses: Hypotheses, solution: Solution) -> tup
     of_set, energy, options = hypotheses.of_set, hypotheses.energy_vis, search.options
     certified = (solution.status == Status.CONVERGED) & solution.stable
     unknown = np.full((len(of_set), len(search.rig.cameras)), np.nan)
-    if search.maps.detections is None or options.evidence == "rod":
+    if not search.both_ways:
         return Finalists(of_set, solution.configuration, energy, solution.status, certified, unknown, unknown,
                          unknown[:, 0]), None
     found = coverage(search.rig, solution.configuration.vertices, of_set, search.maps.detections, options.cap)

@@ -19,6 +19,7 @@ from itertools import combinations
 import numpy as np
 
 from doo_ti.perception.matching import Match, curve_of, likely_matches
+from doo_ti.perception.posterior import PLACES
 from doo_ti.relaxation.newton import Newton
 from doo_ti.relaxation.relax import relax
 from doo_ti.rod.frames import across, arc_lengths, bishop_frames, placed, quaternion_from_matrix, unit_vectors
@@ -34,7 +35,6 @@ SMOOTHNESS = (30.0, 1e3, 3e4)
 """Smoothness of the curves with which rods begin. Between cameras that are close together a rough curve folds along the line of
 sight, and a very smooth one is too flat; the energy decides between the rods."""
 NU_BACK = 0.03  # ν of E_back, 1/(mm px³)
-PLACES = np.array([0.25, 0.75])  # along an edge, that are assigned to the paths
 FREE_ROUNDS, FIXED_ROUNDS = 4, 2  # relaxations of rods whose length is free, and of those whose length is given
 STEPS, NEAREST_PX = 3, 6.0  # steps along a path to the point nearest to a place's image, and the longest of them
 AHEAD_MM = 1e-3  # distance over which the image of a direction is taken

@@ -133,30 +133,6 @@ def seen_vertices(frame: TrackedFrame, rig: Rig, detected: list[Detection], with
     return np.where(shown[:, None], frame.vertices, np.nan)
 
 
-@dataclass(frozen=True)
-class _Rod:
-    """One rod in pieces, in one frame, as it was relaxed, and what is known of it in the cameras that see a thread there."""
-
-    found: Perception
-    configuration: Configuration
-
-    @property
-    def energy_vis(self) -> float:
-        return self.found.energy_vis[0]
-
-    @property
-    def camera_error(self) -> np.ndarray:
-        return self.found.camera_error[0]
-
-    @property
-    def converged(self) -> bool:
-        return self.found.status[0] == Status.CONVERGED
-
-    @property
-    def verdict(self) -> PerceptionVerdict:
-        return PerceptionVerdict(self.found.verdict[0])
-
-
 @typed
 class Tracker:
     """Tracks a rod frame by frame.
@@ -176,7 +152,7 @@ class Tracker:
         self._rig, self._material, self._search, self._options = rig, material, search, options
         self._rest_length, self._up = checked_rod("Tracker", rest_length, material, up)
         self._surroundings = surroundings
-        self._last: _Rod | None = None
+        self._last: Perception | None = None  # of one rod, in the cameras that saw a thread
         self._usual = np.inf  # px, mean over the cameras: the least since the last run of Algorithm 1
         self._turn: np.ndarray | None = None  # (E, 4) of each edge, from the frame before the last one to the last one
 
@@ -201,18 +177,17 @@ class Tracker:
         rod = None if self._last is None else self._relaxed(search, self._starts(search, far), sigma)
         if rod is None or not self._goes_on(rod):
             self._usual = np.inf
-            found = perceive(search.maps, search.rig, search.point, search.direction, self._rest_length, self._material,
-                             up=self._up, options=self._search, surroundings=self._surroundings, start_sigma=sigma)
-            seeded = _Rod(found, found.configuration)
+            seeded = perceive(search.maps, search.rig, search.point, search.direction, self._rest_length, self._material,
+                              up=self._up, options=self._search, surroundings=self._surroundings, start_sigma=sigma)
             if rod is None or _is_better(seeded, rod):
                 rod, how = seeded, How.SEEDED
         if not self._sound(rod):
-            return self._lost(rod.found)
+            return self._lost(rod)
         turn = None
         if how == How.TRACKED:  # the difference to a rod found by Algorithm 1 is no motion
             now, before = (self._whole(one) for one in (rod, self._last))
             turn = quaternion_product(now.quaternions[0], conjugate(before.quaternions[0]))
-        self._turn, self._last, self._usual = turn, rod, min(self._usual, rod.camera_error.mean())
+        self._turn, self._last, self._usual = turn, rod, min(self._usual, rod.camera_error[0].mean())
         return self._frame(rod, how, search)
 
     @typed
@@ -226,7 +201,7 @@ class Tracker:
         tangents = unit_vectors(np.diff(after.vertices, axis=0))
         edges = quaternion_from_matrix(bishop_frames(tangents, search.first[0, :, 1]))
         rod = self._relaxed(search, np.stack([edges, _aimed(edges, search.direction)]), np.full(1, start_sigma))
-        better = self._sound(rod) and not rod.energy_vis >= (1 - BETTER) * frame.energy_vis
+        better = self._sound(rod) and not rod.energy_vis[0] >= (1 - BETTER) * frame.energy_vis
         return self._frame(rod, How.TRACKED, search) if better else frame
 
     def _search_in(self, function: str, detected: list[Detection], point: ArrayLike, direction: ArrayLike) -> Search | None:
@@ -241,14 +216,14 @@ class Tracker:
         return Search(distance_maps([[found for found in detected if found.count]]), self._rig.only(seeing), point, direction,
                       self._rest_length, self._material, self._up, self._search, self._surroundings.for_seeds(point))
 
-    def _relaxed(self, search: Search, starts: np.ndarray, start_sigma: np.ndarray) -> _Rod:
+    def _relaxed(self, search: Search, starts: np.ndarray, start_sigma: np.ndarray) -> Perception:
         """The rod relaxed in a frame, from the best of its initial shapes ``starts`` (K, E, 4), the point where it begins as
-        uncertain as ``start_sigma`` (1,) mm."""
+        uncertain as ``start_sigma`` (1,) mm. Its configuration is the one that was relaxed, not sharpened."""
         longer = replace(search, options=replace(search.options, growing_iterations=ITERATIONS))
         rested = longer.nearly_relaxed(Hypotheses(np.zeros(len(starts), dtype=np.int64), starts, np.zeros(len(starts))))
         alone, _ = explained(search, *search.relaxed(rested.take(np.array([np.argmin(rested.energy_vis)]))))
         found = perception_of(search, alone, np.zeros(1, dtype=np.int64), np.full((1, 0), -1), start_sigma)
-        return _Rod(found, alone.configuration)
+        return replace(found, configuration=alone.configuration)
 
     def _starts(self, search: Search, far: Motion | None) -> np.ndarray:
         """(K, E, 4): the last rod unchanged, rotated with the seed, rotated as in the step before, and carried by the far
@@ -269,28 +244,28 @@ class Tracker:
         solution, _ = predict_step(last, self._material, here, goal, up=self._up, watch=False, **self._surroundings.arguments)
         return solution.configuration.quaternions[0]
 
-    def _whole(self, rod: _Rod) -> Configuration:
+    def _whole(self, rod: Perception) -> Configuration:
         """The rod with uncut edges, in the directions of their middle pieces."""
         fine, pieces = rod.configuration, self._search.pieces
         return Configuration(fine.start, fine.quaternions[:, pieces // 2 :: pieces], self._rest_length)
 
-    def _sound(self, rod: _Rod) -> bool:
+    def _sound(self, rod: Perception) -> bool:
         """Whether the rod has converged on the detected line, as far as any camera shows it."""
-        if not rod.converged or rod.verdict == PerceptionVerdict.NOT_FOUND:
+        if rod.status[0] != Status.CONVERGED or rod.verdict[0] == PerceptionVerdict.NOT_FOUND:
             return False
-        return np.sort(rod.found.shown_error[0])[FEWEST_CAMERAS - 1] <= self._options.lost_px
+        return np.sort(rod.shown_error[0])[FEWEST_CAMERAS - 1] <= self._options.lost_px
 
-    def _goes_on(self, rod: _Rod) -> bool:
+    def _goes_on(self, rod: Perception) -> bool:
         """Whether the tracked rod needs no second opinion."""
-        worse = rod.camera_error.mean() - self._usual > self._options.worse_px
-        return self._sound(rod) and not worse and rod.verdict <= PerceptionVerdict.LIKELY
+        worse = rod.camera_error[0].mean() - self._usual > self._options.worse_px
+        return self._sound(rod) and not worse and rod.verdict[0] <= PerceptionVerdict.LIKELY
 
-    def _frame(self, rod: _Rod, how: How, search: Search) -> TrackedFrame:
+    def _frame(self, found: Perception, how: How, search: Search) -> TrackedFrame:
         """The result of a frame."""
-        found, error = rod.found, np.full(len(self._rig.cameras), np.nan)
-        error[[self._rig.names.index(name) for name in search.rig.names]] = rod.camera_error
-        return TrackedFrame(found.vertices[0], found.sigma[0], rod.energy_vis, error, Status(found.status[0]),
-                            bool(found.stable[0]), how, rod.verdict, _doubts(found))
+        error = np.full(len(self._rig.cameras), np.nan)
+        error[[self._rig.names.index(name) for name in search.rig.names]] = found.camera_error[0]
+        return TrackedFrame(found.vertices[0], found.sigma[0], found.energy_vis[0], error, Status(found.status[0]),
+                            bool(found.stable[0]), how, PerceptionVerdict(found.verdict[0]), _doubts(found))
 
     def _lost(self, found: Perception | None = None) -> TrackedFrame:
         """The rod is lost: the next frame begins with Algorithm 1. ``found``: what it found here, which is not the rod."""
@@ -305,11 +280,10 @@ def _doubts(found: Perception) -> tuple[str, ...]:
     return tuple(name for name, own in found.doubts.items() if own[0])
 
 
-def _is_better(seeded: _Rod, tracked: _Rod) -> bool:
+def _is_better(seeded: Perception, tracked: Perception) -> bool:
     """Whether Algorithm 1 has found a better rod than the one before, moved."""
-    if seeded.converged != tracked.converged:
-        return seeded.converged
-    return seeded.energy_vis < (1 - BETTER) * tracked.energy_vis
+    converged, before = (one.status[0] == Status.CONVERGED for one in (seeded, tracked))
+    return converged if converged != before else seeded.energy_vis[0] < (1 - BETTER) * tracked.energy_vis[0]
 
 
 def _aimed(quaternions: np.ndarray, direction: np.ndarray) -> np.ndarray:

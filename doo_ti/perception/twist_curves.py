@@ -20,7 +20,7 @@ from doo_ti.relaxation.relax import relax
 from doo_ti.rod.frames import angle_about, matrix_from_quaternion, smallest_rotation
 from doo_ti.rod.metric import distance
 from doo_ti.rod.observations import Observations
-from doo_ti.rod.start import observation_clamps, start_configuration
+from doo_ti.rod.start import observation_clamps, start_configuration, twist_shares
 from doo_ti.rod.types import Clamp, Clamps, Configuration, Material
 from doo_ti.system.arguments import typed
 from doo_ti.system.errors import InputError, require_whole
@@ -109,10 +109,8 @@ class TwistCurves:
 
     def _turned(self, rows: np.ndarray, twist: np.ndarray) -> Configuration:
         """The shapes of ``rows`` with a total twist (n,) rad, distributed in proportion to l̄_i."""
-        shape, length = self.free.take(rows), self.observations.rest_length
-        spread = length[:-1] + length[1:]
-        share = np.concatenate([[0.0], np.cumsum(spread) / spread.sum()])
-        half = 0.5 * twist[:, None] * share
+        shape = self.free.take(rows)
+        half = 0.5 * twist[:, None] * twist_shares(self.observations.rest_length)
         cosine, sine = np.cos(half), np.sin(half)
         w, x, y, z = np.moveaxis(shape.quaternions, -1, 0)
         turned = np.stack([w * cosine - x * sine, w * sine + x * cosine, y * cosine + z * sine, z * cosine - y * sine], axis=-1)

@@ -14,7 +14,7 @@ from functools import cached_property
 import numpy as np
 
 from doo_ti.contact.surroundings import Surroundings
-from doo_ti.refinement.mesh import GEOMETRY, Lengths, Mesh
+from doo_ti.refinement.mesh import GEOMETRY, Lengths, Mesh, values_at
 from doo_ti.relaxation.external import PointLoads
 from doo_ti.relaxation.newton import Newton
 from doo_ti.relaxation.relax import relax
@@ -237,7 +237,8 @@ class HeldRod:
         touched = (self.surroundings if rows is None else self.surroundings.take(rows)).arguments
         if self.loads is None:
             return touched
-        mass = (self.loads if rows is None else self.loads[rows]) @ self.mesh(lengths).nearest_two(lengths.mark_place)
+        shares, _ = values_at(lengths.mark_place, self.mesh(lengths).place)  # of the vertices on either side of a mark
+        mass = (self.loads if rows is None else self.loads[rows]) @ shares
         return touched | {"external": PointLoads(np.zeros((*mass.shape, 3)), mass)}
 
     def marks(self, solution: Solution, lengths: Lengths) -> np.ndarray:
@@ -268,8 +269,7 @@ class HeldRod:
         # Beyond the outer marks the mesh goes straight on.
         share = ((mesh.place - mark_place[low]) / lengths.spacing[low])[:, None]
         vertices = (1 - share) * marks[:, low] + share * marks[:, low + 1]
-        middles = 0.5 * (mesh.place[1:] + mesh.place[:-1])
-        nearest = np.clip(np.searchsorted(mark_place, middles, side="right") - 1, 0, last)
+        nearest = np.clip(np.searchsorted(mark_place, mesh.middles, side="right") - 1, 0, last)
         return Observations(
             vertices=vertices, rest_length=np.full(self.edges, mesh.edge), start_frame=seen.start_frame,
             end_frame=seen.end_frame, frames=None if seen.frames is None else seen.frames[:, nearest],

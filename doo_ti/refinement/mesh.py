@@ -21,12 +21,10 @@ Axes: M marks, N edges of the mesh, K knots.
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-if TYPE_CHECKING:
-    from doo_ti.refinement.theta import Scales
+from doo_ti.refinement.theta import Scales
 
 GEOMETRY = 3  # columns of derivatives by both clip lengths and by L
 MOST_KNOTS = 16
@@ -44,11 +42,6 @@ class Lengths:
     def mark_place(self) -> np.ndarray:
         """(M,) arc length of the marks from the first one, mm."""
         return np.concatenate([[0.0], np.cumsum(self.spacing)])
-
-    @property
-    def mark_slope(self) -> np.ndarray:
-        """(M, M − 1) derivative of :attr:`mark_place` by the logarithm of each spacing."""
-        return np.tri(len(self.spacing) + 1, len(self.spacing), -1) * self.spacing
 
 
 @dataclass(frozen=True)
@@ -122,10 +115,6 @@ class Mesh:
         slopes[rows, low], slopes[rows, low + 1] = -1.0, 1.0
         return weights, slopes
 
-    def nearest_two(self, place: np.ndarray) -> np.ndarray:
-        """(X, N + 1) shares of the vertices on either side in what hangs at arc lengths ``place`` (X,)."""
-        return values_at(place, self.place)[0]
-
     def slide(self, place: np.ndarray) -> np.ndarray:
         """(X, GEOMETRY) derivative of u = (s − s_0)/h at given arc lengths s."""
         u = (place - self.place[0]) / self.edge
@@ -144,7 +133,7 @@ class Field:
     components: int
     factor: float  # from the function to its unknowns
 
-    def covariance(self, scales: "Scales") -> tuple[np.ndarray, np.ndarray]:
+    def covariance(self, scales: Scales) -> tuple[np.ndarray, np.ndarray]:
         """(K, K) prior covariance of the unknowns of one component, and its derivative by ln ρ."""
         return covariance(self.knots, scales[self.name] * self.factor, scales[self.range])
 

@@ -30,7 +30,7 @@ from doo_ti.refinement.unknowns import Unknowns, Values
 from doo_ti.relaxation.contact_table import require_clear
 from doo_ti.relaxation.newton import Newton
 from doo_ti.relaxation.relax import relax
-from doo_ti.rod.frames import of_like_signs
+from doo_ti.rod.frames import of_like_signs, unit_vectors
 from doo_ti.rod.observations import Observations
 from doo_ti.rod.start import start_configuration, turn_hypotheses
 from doo_ti.rod.types import Clamps, Configuration, Solution, Status
@@ -341,8 +341,7 @@ def relaxed_on(unknowns: Unknowns, values: Values, solution: Solution, before: H
     mesh, old = rod.mesh(lengths), before.mesh(lengths)
     weights = old.at_edges(mesh.middles)[0]
     # Of like signs, so that weighted means of them are frames between.
-    between = np.einsum("xe,rek->rxk", weights, of_like_signs(solution.configuration.quaternions))
-    between /= np.linalg.norm(between, axis=-1, keepdims=True)
+    between = unit_vectors(np.einsum("xe,rek->rxk", weights, of_like_signs(solution.configuration.quaternions)))
     clamps = rod.mesh_clamps(lengths, unknowns.pose(values))
     start = np.where(np.isfinite(clamps.start_position), clamps.start_position, solution.configuration.start)
     begin = Configuration(start, between, np.full(rod.edges, mesh.edge))

@@ -73,31 +73,6 @@ class Moments:
 
 
 @dataclass(frozen=True)
-class _Quantity:
-    """A vector interpolated between the mesh's vertices or edges, at X places of the rod."""
-
-    place: np.ndarray  # (X,) arc lengths, mm
-    slope: np.ndarray  # (X, M − 1) their derivatives by the logarithms of the marks' spacings
-    weights: tuple[np.ndarray, np.ndarray]  # (X, ·) of the interpolation, and their derivatives by u (:meth:`Mesh.at`)
-    present: np.ndarray  # (rods, ·, 3) the vectors on the mesh
-    changes: np.ndarray  # (rods, ·, 3, columns) their derivatives, from :func:`doo_ti.relaxation.sensitivity.sensitivity`
-    # (rods, 3, GEOMETRY + Q) displacement of the start, which carries the whole rod along; zero for directions
-    carried: np.ndarray
-
-    def at_places(self) -> np.ndarray:
-        """(rods, X, 3, columns) the derivatives at the places."""
-        changes, weights = np.where(np.isnan(self.changes), 0.0, self.changes), self.weights[0]
-        count = len(changes)
-        return (weights @ changes.reshape(count, changes.shape[1], -1)).reshape(count, len(weights), 3, -1)
-
-    def sliding(self, mesh: Mesh) -> np.ndarray:
-        """(rods, X, 3, GEOMETRY + M − 1) derivatives as the mesh slides along the rod by its lengths, and the places by the
-        spacings."""
-        by_place = np.concatenate([mesh.slide(self.place), self.slope / mesh.edge], axis=1)
-        return (self.weights[1] @ self.present)[..., None] * by_place[:, None]
-
-
-@dataclass(frozen=True)
 class Comparison:
     """The compared quantities."""
 
@@ -211,19 +186,25 @@ class Comparison:
         lengths, shape = unknowns.lengths(values), found.configuration
         moved, turned = (slopes[:, rows] for slopes in unknowns.rod.clamp_slopes(lengths, unknowns.pose(values)))
         by_clamps = np.concatenate([*(moved if among else [moved[1] - moved[0]]), *turned], axis=1)
-        carried = 0.0 * moved[0] if among else moved[0]
-        place, slope = lengths.mark_place, lengths.mark_slope
-        quantities = [_Quantity(place, slope, mesh.at(place), shape.vertices, found.vertices, carried)]
+        place, spacing = lengths.mark_place, lengths.spacing
+        slope = np.tri(len(place), len(spacing), -1) * spacing
+        # Arc lengths of X places, their derivatives by the logarithms of the marks' spacings, weights of the interpolation
+        # there and their derivatives by u, the vectors on the mesh (R, ·, 3), their derivatives, and the displacement of the
+        # start, which carries the whole rod along.
+        quantities = [(place, slope, mesh.at(place), shape.vertices, found.vertices, 0.0 * moved[0] if among else moved[0])]
         if self.directors is not None:
             place, slope = (0.5 * (ends[1:] + ends[:-1]) for ends in (place, slope))
-            quantities.append(_Quantity(place, slope, mesh.at_edges(place), shape.frames[..., 1], found.directors,
-                                        np.zeros_like(moved[0])))
+            quantities.append((place, slope, mesh.at_edges(place), shape.frames[..., 1], found.directors,
+                               np.zeros_like(moved[0])))
         kinds = []
-        for one in quantities:
-            at = one.at_places()
-            poses = at[..., -by_clamps.shape[1] :] @ by_clamps[:, None] + one.carried[:, None]
+        for place, slope, (weights, turns), present, changes, carried in quantities:
+            flat = np.where(np.isnan(changes), 0.0, changes).reshape(*changes.shape[:2], -1)
+            at = (weights @ flat).reshape(len(flat), len(weights), 3, -1)
+            poses = at[..., -by_clamps.shape[1] :] @ by_clamps[:, None] + carried[:, None]
             effects = poses[..., :0] if unknowns.rod.exact else poses[..., GEOMETRY:] * unknowns.rod.loose
-            by_unknowns = self._shared(at, poses, one.sliding(mesh), chain, values, mesh, rows) if shared else at[..., :0]
+            by_place = np.concatenate([mesh.slide(place), slope / mesh.edge], axis=1)
+            sliding = (turns @ present)[..., None] * by_place[:, None]
+            by_unknowns = self._shared(at, poses, sliding, chain, values, mesh, rows) if shared else at[..., :0]
             kinds.append([part.reshape(len(at), 3 * at.shape[1], part.shape[-1]) for part in (by_unknowns, effects)])
         return kinds, found.usable
 
@@ -233,7 +214,7 @@ class Comparison:
 
         at       (R, X, 3, columns of :func:`sensitivity`)
         poses    (R, X, 3, GEOMETRY + Q) by the lengths, as they move the clamps, and by the poses
-        sliding  (R, X, 3, GEOMETRY + M − 1), from :meth:`_Quantity.sliding`
+        sliding  (R, X, 3, GEOMETRY + M − 1) as the mesh slides along the rod by its lengths, and the places by the spacings
         chain    (columns of Θ, unknowns of Θ), from :meth:`Unknowns.chain`
         """
         unknowns = self.unknowns

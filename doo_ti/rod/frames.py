@@ -137,7 +137,7 @@ def unit_direction(source: str, name: str, vector: ArrayLike) -> np.ndarray:
 
 
 def unit_vectors(vectors: np.ndarray) -> np.ndarray:
-    """(…, 3) vectors of length one along ``vectors``; zero where these are."""
+    """(…, n) vectors of length one along ``vectors``; zero where these are."""
     return vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-300)
 
 

@@ -15,6 +15,7 @@ from doo_ti.system.errors import InputError
 
 # Axis name: unit, in the order in which a grid's axes run.
 UNITS = {"bend": "mm³", "bend_1": "mm³", "bend_2": "mm³", "twist": "mm³", "twist_ratio": "", "weight": ""}
+SAME = ("bend", "bend_1"), ("bend", "bend_2"), ("twist", "twist_ratio")  # pairs of axes of which one stands for the other
 MOST_VALUES = 1_000_000
 _FORM = "give a number or LO:HI:N[:log|:lin], such as 5e4:1e7:25"
 
@@ -150,10 +151,7 @@ class Grid:
         ``bend`` replaces ``bend_1`` and ``bend_2``, ``twist`` replaces ``twist_ratio``, and vice versa.
         """
         names = {axis.name for axis in axes}
-        replaced = set(names)
-        for one, others in (("bend", {"bend_1", "bend_2"}), ("twist", {"twist_ratio"})):
-            replaced |= others if one in names else set()
-            replaced |= {one} if names & others else set()
+        replaced = names | {other for pair in SAME for one, other in (pair, pair[::-1]) if one in names}
         kept = tuple(axis for axis in self.axes if axis.name not in replaced)
         bends = names & {"bend", "bend_1", "bend_2"}
         return Grid((*kept, *axes), bend_12 if bends else self.bend_12, self.source)
@@ -308,10 +306,9 @@ def _check_names(source: str, names: list[str]) -> None:
     unknown = [name for name in names if name not in UNITS]
     if unknown:
         raise InputError(source, unknown[0], "unknown axis", f"use {', '.join(UNITS)}")
-    for one, others in (("bend", ("bend_1", "bend_2")), ("twist", ("twist_ratio",))):
-        for other in others:
-            if one in names and other in names:
-                raise InputError(source, other, f"given beside {one}", f"give one of {one} and {other}")
+    for one, other in SAME:
+        if one in names and other in names:
+            raise InputError(source, other, f"given beside {one}", f"give one of {one} and {other}")
     if len(set(names)) < len(names):
         raise InputError(source, max(names, key=names.count), "given twice", "give each axis once")
     if "bend" not in names:

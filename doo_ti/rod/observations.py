@@ -281,19 +281,18 @@ class Observations:
 
 def _chords(vertices: np.ndarray) -> np.ndarray:
     """(E,) median distance of neighbouring marks, from their places (D, V, 3), NaN where unseen."""
-    return _median(np.linalg.norm(np.diff(vertices, axis=1), axis=-1))
+    return median_of_seen(np.linalg.norm(np.diff(vertices, axis=1), axis=-1))
 
 
-def _median(values: np.ndarray) -> np.ndarray:
+def median_of_seen(values: np.ndarray) -> np.ndarray:
     """Median over the first axis without NaN; NaN where there is nothing else."""
-    seen, median = ~np.isnan(values).all(axis=0), np.full(values.shape[1], np.nan)
-    median[seen] = np.nanmedian(values[:, seen], axis=0)
-    return median
+    some = np.isfinite(values).any(axis=0)
+    return np.where(some, np.nanmedian(np.where(some, values, 0.0), axis=0), np.nan)
 
 
 def _over_edges(share: np.ndarray) -> np.ndarray:
     """(E,) mean over the two joints of each edge of the medians of ``share`` (D, E − 1), without those that no rod shows."""
-    median = _median(share)
+    median = median_of_seen(share)
     seen, median = ~np.isnan(median), np.nan_to_num(median)
     both = np.stack([np.append(median, 0.0), np.append(0.0, median)])
     count = np.stack([np.append(seen, False), np.append(False, seen)])

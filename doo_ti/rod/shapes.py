@@ -96,16 +96,12 @@ def with_end_edges(rods: Configuration) -> Configuration:
     the angle of the joint that it has with the next."""
     frames, lengths = rods.quaternions, rods.rest_length
     none = np.zeros_like(lengths[..., :1])
-    ends = [_turned_on(frames[:, second], frames[:, first])[:, None] for first, second in ((0, 1), (-1, -2))]
-    return Configuration(rods.start, np.concatenate([ends[0], frames, ends[1]], axis=1),
+    outer, inner = frames[:, [0, -1]], frames[:, [1, -2]]
+    turn = quaternion_product(outer, conjugate(inner))
+    turn = np.where(turn[..., :1] < 0, -turn, turn) + np.array([1.0, 0.0, 0.0, 0.0])  # half of it, once it has length one
+    ends = quaternion_product(turn / np.linalg.norm(turn, axis=-1, keepdims=True), outer)
+    return Configuration(rods.start, np.concatenate([ends[:, :1], frames, ends[:, 1:]], axis=1),
                          np.concatenate([none, lengths, none], axis=-1))
-
-
-def _turned_on(before: np.ndarray, last: np.ndarray) -> np.ndarray:
-    """(R, 4) the frames ``last``, turned on by half the rotation from ``before`` to them."""
-    turn = quaternion_product(last, conjugate(before))
-    turn = np.where(turn[:, :1] < 0, -turn, turn) + np.array([1.0, 0.0, 0.0, 0.0])
-    return quaternion_product(turn / np.linalg.norm(turn, axis=-1, keepdims=True), last)
 
 
 def material_curvature(rods: Configuration) -> np.ndarray:

@@ -17,6 +17,7 @@ from doo_ti.rod.frames import (
     smallest_rotation,
     some_frames,
     turned_about_tangent,
+    unit_vectors,
 )
 from doo_ti.rod.observations import Observations
 from doo_ti.rod.types import Clamp, Clamps, Configuration
@@ -49,7 +50,7 @@ def observation_clamps(observations: Observations, start: Clamp | None = None, e
                                  f"add {name}_frame (D, 3, 3), or clamp that end's tangent or position")
             frame = observations.frames[:, edge]
         kinds.append(kind)
-        frames.append(some_frames(_directions(observations)[:, edge]) if frame is None else
+        frames.append(some_frames(directions(observations)[:, edge]) if frame is None else
                       matrix_from_quaternion(quaternion_from_matrix(frame)))  # exactly orthonormal
     return Clamps(*kinds, vertices[:, 0], vertices[:, -1], *frames)
 
@@ -280,10 +281,9 @@ def on_equal_edges(observations: Observations, edges: int) -> Observations:
                    start_frame=start, end_frame=end, frames=None, sigma=None)
 
 
-def _directions(observations: Observations) -> np.ndarray:
+def directions(observations: Observations) -> np.ndarray:
     """(D, E, 3) unit directions of the observed edges."""
-    edges = np.diff(fill_missing(observations), axis=1)
-    return edges / np.linalg.norm(edges, axis=-1, keepdims=True)
+    return unit_vectors(np.diff(fill_missing(observations), axis=1))
 
 
 def _holds_spin(kind) -> np.ndarray:
@@ -292,7 +292,7 @@ def _holds_spin(kind) -> np.ndarray:
 
 def _bishop(observations: Observations, clamps: Clamps) -> np.ndarray:
     """(D, E, 3, 3) twist-free frames: clamped tangents at the ends, observed ones between, m1 from the start clamp."""
-    tangents = _directions(observations).copy()
+    tangents = directions(observations)
     for edge, kind, frame in ((0, clamps.start, clamps.start_frame), (-1, clamps.end, clamps.end_frame)):
         held = np.broadcast_to(np.asarray(kind) >= Clamp.TANGENT, observations.count)[:, None]
         tangents[:, edge] = np.where(held, frame[..., 0], tangents[:, edge])
@@ -310,13 +310,17 @@ def _closing_angle(bishop: np.ndarray, clamps: Clamps) -> np.ndarray:
 def _twist_angles(bishop: np.ndarray, clamps: Clamps, rest_length: np.ndarray, turns: np.ndarray) -> np.ndarray:
     """(D, E) angles θ^j from the twist-free frames to the start's material frames (§III-C)."""
     closing = _closing_angle(bishop, clamps)
-    spread = rest_length[:-1] + rest_length[1:]
-    share = np.concatenate([[0.0], np.cumsum(spread) / spread.sum()])
     both = _holds_spin(clamps.start) & _holds_spin(clamps.end)
     # Where the start rolls freely the whole rod turns to meet the end's frame, without twist.
     total = np.where(both, closing + 2 * np.pi * turns, 0.0)
     offset = np.where(both, 0.0, closing)
-    return offset[:, None] + total[:, None] * share
+    return offset[:, None] + total[:, None] * twist_shares(rest_length)
+
+
+def twist_shares(rest_length: np.ndarray) -> np.ndarray:
+    """(E,) shares of the total twist up to each edge, in proportion to l̄_i of the joints."""
+    spread = rest_length[:-1] + rest_length[1:]
+    return np.concatenate([[0.0], np.cumsum(spread) / spread.sum()])
 
 
 def _clamped(quaternions: np.ndarray, kind, frame: np.ndarray) -> np.ndarray:

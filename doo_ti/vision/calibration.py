@@ -73,26 +73,6 @@ class Bundle:
 
 
 @dataclass(frozen=True)
-class CalibrationOptions:
-    """world       the world's axes: ``first-board``, those of the board in the first view: origin at its first inner corner,
-                   x along a row, y up the page, z out of the board; or ``camera``, those of the first camera
-    distortion     how many of k1, k2, p1, p2, k3 are fitted, the others being 0: 0, 2, 4 or 5. The fifth helps for wide
-                   lenses whose images show corners up to the border; otherwise it only adds noise
-
-    Raises InputError for others.
-    """
-
-    world: str = "first-board"
-    distortion: int = 4
-
-    def __post_init__(self) -> None:
-        if self.world not in WORLDS:
-            raise InputError("options", "world", f"{self.world!r}", f"use one of {', '.join(WORLDS)}")
-        if self.distortion not in COEFFICIENTS:
-            raise InputError("options", "distortion", f"{self.distortion!r}", "use 0, 2, 4 or 5 coefficients")
-
-
-@dataclass(frozen=True)
 class Calibration:
     """A rig, the pose of the board in each view, and the errors."""
 
@@ -113,28 +93,31 @@ class Calibration:
 
 
 def calibrate(points: np.ndarray, sightings: list[Sighting], sizes: dict[str, tuple[int, int]], views: int,
-              options: CalibrationOptions = CalibrationOptions(), source: str = "views") -> Calibration:
+              world: str = WORLDS[0], distortion: int = 4, source: str = "views") -> Calibration:
     """The rig that took ``sightings`` of a board with corners ``points`` (N, 3) mm, in ``views`` views.
 
-    sizes   name: width and height in px of each of C cameras, in the order in which the sightings number them
+    sizes       name: width and height in px of each of C cameras, in the order in which the sightings number them
+    world       of WORLDS, the world's axes: ``first-board``, those of the board in the first view: origin at its first inner
+                corner, x along a row, y up the page, z out of the board; or ``camera``, those of the first camera
+    distortion  of COEFFICIENTS, how many of k1, k2, p1, p2, k3 are fitted, the others being 0. The fifth helps for wide lenses
+                whose images show corners up to the border; otherwise it only adds noise
 
-    Raises InputError, naming ``source``, for fewer than two cameras, for a camera with fewer than three views of the board or
-    without a view shared with the others, for a first view without board if that defines the world, and for views that do not
-    determine the cameras.
+    Raises InputError, naming ``source``, for a camera with fewer than three views of the board or without a view shared with
+    the others, for a first view without board if that defines the world, and for views that do not determine the cameras.
     """
     names = tuple(sizes)
-    _check(sightings, names, options, source)
-    cameras, poses = _lenses(points, sightings, sizes, options, source)
+    _check(sightings, names, world, source)
+    cameras, poses = _lenses(points, sightings, sizes, distortion, source)
     bundle = _placed(points, sightings, cameras, poses, views, source)
-    if options.world == "first-board":
+    if world == "first-board":
         turn, shift = bundle.rotations[0], bundle.translations[0]
         cameras = tuple(replace(one, rotation=one.rotation @ turn, translation=one.rotation @ shift + one.translation)
                         for one in bundle.cameras)
         bundle = Bundle(cameras, turn.T @ bundle.rotations, (bundle.translations - shift) @ turn)
     lenses, of_cameras, of_views = places(len(names), views)
     free = np.ones(of_views[-1, -1] + 1, dtype=bool)
-    free[lenses[:, 4 + options.distortion:]] = False
-    free[of_cameras[0] if options.world == "camera" else of_views[0]] = False
+    free[lenses[:, 4 + distortion:]] = False
+    free[of_cameras[0] if world == "camera" else of_views[0]] = False
     free[of_views[np.isnan(bundle.translations[:, 0])]] = False
     try:
         bundle, covariance = adjusted(bundle, points, sightings, free)
@@ -147,39 +130,37 @@ def calibrate(points: np.ndarray, sightings: list[Sighting], sizes: dict[str, tu
     return calibration
 
 
-def _check(sightings: list[Sighting], names: tuple[str, ...], options: CalibrationOptions, source: str) -> None:
-    if len(names) < 2:
-        raise InputError(source, "cameras", f"{len(names)} of them", "give images of two cameras or more")
+def _check(sightings: list[Sighting], names: tuple[str, ...], world: str, source: str) -> None:
     for camera, name in enumerate(names):
         seen = sum(sighting.camera == camera for sighting in sightings)
         if seen < FEWEST_VIEWS:
             raise InputError(source, name, f"the board was found in {seen} of its images",
                              f"give {FEWEST_VIEWS} that show it, or more: ten are good")
-    if options.world == "first-board" and not any(sighting.view == 0 for sighting in sightings):
+    if world == "first-board" and not any(sighting.view == 0 for sighting in sightings):
         raise InputError(source, "view", "the board was found in no image of the first view, where the world's axes lie",
                          "put another view first, or choose the camera as the world")
 
 
-def _lenses(points, sightings, sizes, options, source: str) -> tuple[list[Camera], dict[tuple[int, int], tuple]]:
+def _lenses(points, sightings, sizes, distortion: int, source: str) -> tuple[list[Camera], dict[tuple[int, int], tuple]]:
     """Each camera by itself, at the world's origin, and (view, camera): R and t of the board in front of it."""
     import cv2
 
     fixed = {0: cv2.CALIB_FIX_K1 | cv2.CALIB_FIX_K2 | cv2.CALIB_FIX_K3 | cv2.CALIB_ZERO_TANGENT_DIST,
-             2: cv2.CALIB_FIX_K3 | cv2.CALIB_ZERO_TANGENT_DIST, 4: cv2.CALIB_FIX_K3, 5: 0}[options.distortion]
+             2: cv2.CALIB_FIX_K3 | cv2.CALIB_ZERO_TANGENT_DIST, 4: cv2.CALIB_FIX_K3, 5: 0}[distortion]
     cameras, poses = [], {}
     for index, (name, size) in enumerate(sizes.items()):
         own = [sighting for sighting in sightings if sighting.camera == index]
         threads = cv2.getNumThreads()
         cv2.setNumThreads(1)  # the order of sums over several threads, and so the last digits, differ from run to run
         try:
-            _, matrix, distortion, turns, shifts = cv2.calibrateCamera(
+            _, matrix, coefficients, turns, shifts = cv2.calibrateCamera(
                 [points[sighting.found].astype(np.float32) for sighting in own],
                 [sighting.pixels.astype(np.float32) for sighting in own], size, None, None, flags=fixed)
         except cv2.error:
             raise InputError(source, name, "the views do not determine its lens", TILT) from None
         finally:
             cv2.setNumThreads(threads)
-        cameras.append(Camera(name, *size, matrix, np.ravel(distortion)[:5], np.eye(3), np.zeros(3)))
+        cameras.append(Camera(name, *size, matrix, np.ravel(coefficients)[:5], np.eye(3), np.zeros(3)))
         for sighting, turn, shift in zip(own, turns, shifts):
             poses[sighting.view, index] = cv2.Rodrigues(turn)[0], np.ravel(shift)
     return cameras, poses

@@ -32,9 +32,9 @@ from doo_ti.vision.detection import (
     Detection,
     DetectionOptions,
     chains_of,
-    check_image,
     cropped,
     goes_on,
+    image_part,
     in_whole_pixels,
     moved,
     thinned,
@@ -112,8 +112,7 @@ def detect(image: np.ndarray, options: DetectionOptions = DetectionOptions()) ->
     Raises InputError for an image of another shape or smaller than 16 × 16, and for a region outside.
     """
     image = np.asarray(image)
-    check_image(image)
-    part, corner = cropped(image, options)
+    part, corner = image_part(image, options)
     if options.colour is not None:
         line, polarity = likeness(as_colour(part), likeness_table([lab(np.array(options.colour[::-1]))])), "light"
     else:

@@ -66,12 +66,13 @@ class DetectionOptions:
             object.__setattr__(self, name, numbers)
 
 
-def check_image(image: np.ndarray) -> None:
-    """Raise InputError for anything but (H, W) or (H, W, 3) numbers of at least 16 × 16."""
+def image_part(image: np.ndarray, options: DetectionOptions) -> tuple[np.ndarray, tuple[int, int]]:
+    """:func:`cropped` of an image. Raises InputError for anything but (H, W) or (H, W, 3) numbers of at least 16 × 16, too."""
     form = image.ndim in (2, 3) and image.shape[2:] in ((), (3,)) and image.dtype.kind in "uif"
     if not form or min(image.shape[:2]) < 16:
         raise InputError("detection", "image", f"shape {image.shape} of {image.dtype}",
                          "give (H, W) or (H, W, 3) levels, at least 16 x 16")
+    return cropped(image, options)
 
 
 def cropped(image: np.ndarray, options: DetectionOptions) -> tuple[np.ndarray, tuple[int, int]]:

@@ -201,6 +201,7 @@ WIDER = 1.75  # times its width a thread is not: what it is tied to, or held by,
 SAME_PX, FAR_PX, MOST_IMAGE_PX = 1.5, 12, 1e5
 """A rod's image passes along itself where parts are so near to each other, and so far along it; and the longest image that is
 looked at: rods behind a camera have no end."""
+ERRORS = ("outside", "skipped", "twice", "wider")  # of :func:`misread`
 
 
 @dataclass(frozen=True)
@@ -226,25 +227,17 @@ def coverage(rig: Rig, vertices: np.ndarray, of_set: np.ndarray, detections: lis
     return Coverage(result[..., 0] / np.maximum(lengths, 1), result[..., 1].astype(np.float64), lengths.astype(np.float64))
 
 
-@dataclass(frozen=True)
-class Misread:
-    """Where one rod of each of A sets and the line detected in each camera do not belong together, (A, C).
+def misread(rig: Rig, vertices: np.ndarray, detections: list[list[Detection]]) -> dict[str, np.ndarray]:
+    """Where the rods ``vertices`` (A, V, 3) mm, one of each set, and the line detected in each camera do not belong together,
+    (A, C) by name.
 
     outside  share of the line that no other camera's image shows, at the depth of the nearest vertex
     skipped  longest piece of the rest of the line that the rod leaves out between its ends, in widths of the thread
     twice    length of the rod's image that passes along another part of it, in widths of the thread
     wider    longest piece of the line along the rod that is far wider than the thread, in widths of the thread
     """
-
-    outside: np.ndarray
-    skipped: np.ndarray
-    twice: np.ndarray
-    wider: np.ndarray
-
-
-def misread(rig: Rig, vertices: np.ndarray, detections: list[list[Detection]]) -> Misread:
-    """What the rods ``vertices`` (A, V, 3) mm, one of each set, misread."""
-    outside, skipped, twice, wider = np.zeros((4, len(vertices), len(rig.cameras)))
+    found = {name: np.zeros((len(vertices), len(rig.cameras))) for name in ERRORS}
+    outside, skipped, twice, wider = found.values()
     for row, rod in enumerate(vertices):
         if not np.isfinite(rod).all():
             continue
@@ -264,7 +257,7 @@ def misread(rig: Rig, vertices: np.ndarray, detections: list[list[Detection]]) -
             twice[row, c] = _passed_twice(image) / detection.width_px
             wide = np.unique(np.rint(detection.points[detection.widths > WIDER * detection.width_px]), axis=0)
             wider[row, c] = _longest_piece(wide[~_nearest_place(wide, image)[1]]) / detection.width_px
-    return Misread(outside, skipped, twice, wider)
+    return found
 
 
 def _nearest_place(points: np.ndarray, image: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -17,6 +17,7 @@ import taichi as ti
 
 from doo_ti.physics import tuples
 from doo_ti.physics.algebra import full, largest_of
+from doo_ti.physics.number import device_functions
 from doo_ti.physics.tuples import itemwise, picked, record, repeated, unevaluated
 from doo_ti.vision.sampling import (
     CAMERA_COLUMNS,
@@ -172,7 +173,7 @@ def direction_moments(k, n, m, s) -> tuple:
     )
 
 
-@ti.data_oriented
+@device_functions
 class EdgeIntegral:
     """E_proj of edges for one kind of number, and its derivatives.
 
@@ -191,20 +192,17 @@ class EdgeIntegral:
         self.sampling = MapSampling(number, WINDOW)
         self.scalar = number.scalar
 
-    @ti.func
     def view(self, numbers: ti.template(), values: ti.template(), row, c):
         return record(
             numbers=numbers, values=values, row=row, c=c, lens=self.projection.lens(numbers, c),
             frame=self.sampling.window(numbers, row, c), inverse_cap=ti.cast(numbers[0, 0, INVERSE_CAP], self.scalar),
             reach=ti.cast(numbers[0, 0, REACH], self.scalar))
 
-    @ti.func
     def places(self, view):
         """(n, 1/n)."""
         points = view.numbers[0, 0, POINTS]
         return ti.cast(points, ti.i32), ti.cast(1.0 / points, self.scalar)
 
-    @ti.func
     def error(self, view, a, d):
         """(E_proj, share of the edge that is not seen)."""
         zero = 0.0 * view.row
@@ -222,7 +220,6 @@ class EdgeIntegral:
             s += step
         return step * total, step * hidden
 
-    @ti.func
     def length(self, view, x, j, t, d):
         """The record of m = |A w| under the lens' first and second derivatives j and t at x.
 
@@ -246,7 +243,6 @@ class EdgeIntegral:
             curvature=plus(minus(contracted(third, w), scaled(turn, 2.0 * d[2])), square_of(swing, slower)),
             along=along, across=across, turn=turn, swing=swing)
 
-    @ti.func
     def distance(self, view, x, j, t, coarse):
         """The record of F, the capped distance at x = (X, Y), with its first and second derivatives; j and t as above."""
         focal = (view.lens[0], view.lens[1])
@@ -269,7 +265,6 @@ class EdgeIntegral:
         return record(value=far * root, slope=contracted(j, s),
                       curvature=plus(congruent(c, j), scaled(contracted(t, s), 1.0 - coarse)))
 
-    @ti.func
     def place(self, view, y, d, coarse):
         """F m/y3 with its derivatives by y and d: (E, ∂y, ∂d, ∂yy, ∂yd, ∂dd, whether it is seen)."""
         x0, x1, inverse, seen = self.projection.normalised(view.lens, y)
@@ -294,7 +289,6 @@ class EdgeIntegral:
         curvature_dd = twice_by_direction(square_of(m.across, g * m.slower), x)
         return g * m.value, gradient_y, gradient_d, curvature_yy, curvature_yd, curvature_dd, seen
 
-    @ti.func
     def moments(self, view, a, d, coarse):
         """The record of E_proj and the moments (Σ γ, Σ s γ, Σ K, Σ s K, Σ s² K) of its derivatives, in the camera's axes.
 

@@ -21,7 +21,7 @@ import numpy as np
 from doo_ti.rod.frames import arc_lengths, normal_to, placed, unit_vectors
 from doo_ti.system.arguments import typed
 from doo_ti.system.errors import InputError
-from doo_ti.vision.detection import Detection, DetectionOptions, check_image, cropped, moved
+from doo_ti.vision.detection import Detection, DetectionOptions, image_part, moved
 from doo_ti.vision.ridge import TOLERANCE, WORKING_WIDTH, Curvature, as_colour, lab, likeness, likeness_table
 
 REACH_PX = 4.0  # from the pixel to the thread's middle, or half a width, whichever is more
@@ -75,8 +75,7 @@ def follow(image: np.ndarray, pixel: tuple[float, float], options: DetectionOpti
     Raises InputError for another image, and for a pixel outside.
     """
     image = np.asarray(image)
-    check_image(image)
-    part, corner = cropped(image, options)
+    part, corner = image_part(image, options)
     place = np.asarray(pixel, dtype=np.float64) - corner
     if not ((place >= -0.5) & (place < np.array(part.shape[1::-1]) - 0.5)).all():
         raise InputError("detection", "pixel", f"{tuple(pixel)} is outside",

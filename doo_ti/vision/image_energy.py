@@ -26,7 +26,7 @@ import numpy as np
 import taichi as ti
 
 from doo_ti.physics.algebra import full
-from doo_ti.physics.number import Layout, Number
+from doo_ti.physics.number import Layout, Number, device_functions
 from doo_ti.physics.tuples import minus, plus, put_lane, record, repeated, scaled
 from doo_ti.relaxation.external import External, ExternalFunctions
 from doo_ti.relaxation.tables import MOST_NUMBERS
@@ -131,18 +131,16 @@ class Reprojection(External):
         return ExternalFunctions(energy.load, energy.evaluate)
 
 
-@ti.data_oriented
+@device_functions
 class ImageEnergy:
     """ν Σ_c E_proj^c of an edge for one kind of number."""
 
     def __init__(self, number):
         self.constant, self.edge = number.lanes().constant, EdgeIntegral(number)
 
-    @ti.func
     def load(self, own, numbers: ti.template(), row, edge, scale):
         own.images, own.nu = row, numbers[row, 0, NU] * scale
 
-    @ti.func
     def evaluate(self, own, numbers: ti.template(), values: ti.template(), start, end, coarse):
         nu, zero = own.nu, self.constant(0.0)
         # A lane without a rod may hold any number, which must not be used as an index.
@@ -222,7 +220,7 @@ class AssignedPoints(External):
         return ExternalFunctions(energy.load, energy.evaluate)
 
 
-@ti.data_oriented
+@device_functions
 class AssignedEnergy:
     """ν E_back of an edge for one kind of number."""
 
@@ -232,11 +230,9 @@ class AssignedEnergy:
         self.scalar, self.width = number.scalar, number.width
         self.projection = Projection(number)
 
-    @ti.func
     def load(self, own, numbers: ti.template(), row, edge, scale):
         own.row, own.edge, own.nu = row, edge, numbers[row, 0, ASSIGNED_NU] * scale
 
-    @ti.func
     def point(self, values: ti.template(), numbers: ti.template(), row, edge, c, k):
         """(q, form, w) of each rod's place k of its edge in camera c."""
         seen = record(point=repeated(0.0 * row, POINT))
@@ -248,7 +244,6 @@ class AssignedEnergy:
                                                         values[here + 4], values[here + 5]))
         return seen.point
 
-    @ti.func
     def place(self, lens, q, y, inverse_soft, coarse):
         """(E, ∂y, ∂yy) of w ρ at the place y in the camera's axes, whose point and weights are q."""
         x0, x1, inverse, seen = self.projection.normalised(lens, y)
@@ -272,7 +267,6 @@ class AssignedEnergy:
         curvature = twice_by_point(form, (none, none), (fine * slope[0], fine * slope[1], none), x, inverse)
         return energy, by_point(slope, none, x, inverse), curvature
 
-    @ti.func
     def evaluate(self, own, numbers: ti.template(), values: ti.template(), start, end, coarse):
         nu, zero, camera = own.nu, self.constant(0.0), self.projection
         given, along = own.row, own.edge

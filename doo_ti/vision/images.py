@@ -184,8 +184,6 @@ class ImageSets:
     clicks: tuple[dict[int, tuple[float, float]], ...] | None = None
 
     def __post_init__(self) -> None:
-        if not self.rig.cameras:
-            raise InputError(self.source, "cameras", "none", "give images of one camera or more")
         for name, pixels in zip(self.names, self.clicks or (), strict=False):
             for number, (u, v) in pixels.items():
                 camera = self.rig.cameras[number]

@@ -26,7 +26,7 @@ import numpy as np
 from doo_ti.io.arrays import CsvTable, read_csv
 from doo_ti.rod.frames import matrix_from_quaternion, smallest_rotation, unit_vectors
 from doo_ti.rod.observations import Observations
-from doo_ti.rod.start import fill_missing
+from doo_ti.rod.start import directions
 from doo_ti.system.errors import InputError
 from doo_ti.vision.triangulation import Points
 
@@ -140,18 +140,10 @@ def _vertices(table: CsvTable) -> tuple[np.ndarray, np.ndarray, bool]:
     return vertex, (side == "R").astype(int), is_ribbon
 
 
-@dataclass(frozen=True)
-class MarkedRods:
-    """Observations of D rods, and how their frames came about."""
-
-    observations: Observations
-    # (D, E) bool: frames carried over from the nearest measured one, because a mark beside them has no position
-    frames_filled: np.ndarray
-
-
 def observe(marks: Marks, points: Points, rest_length: float | None = None, up=(0.0, 0.0, 1.0), name: str = "observations",
-            **labels) -> MarkedRods:
-    """The rods that ``points``, the triangulated ``marks.pixels`` as (C, P, 2), are marks of.
+            **labels) -> tuple[Observations, np.ndarray]:
+    """The rods that ``points``, the triangulated ``marks.pixels`` as (C, P, 2), are marks of; and (D, E) bool: frames that are
+    carried over from the nearest measured one, because a mark beside them has no position.
 
     rest_length  mm from each mark to the next along the rod; by default each edge's median over the observations
     up           (3,) against gravity
@@ -180,12 +172,12 @@ def observe(marks: Marks, points: Points, rest_length: float | None = None, up=(
         frames, filled = _ribbon_frames(observations, position[:, :, 1] - position[:, :, 0], marks)
         ends = {end: frames[:, edge] for end, edge in (("start_frame", 0), ("end_frame", -1)) if not filled[:, edge].any()}
         observations = replace(observations, frames=frames, **ends)
-    return MarkedRods(observations, filled)
+    return observations, filled
 
 
 def _ribbon_frames(observations: Observations, across: np.ndarray, marks: Marks) -> tuple[np.ndarray, np.ndarray]:
     """(D, E, 3, 3) frames of ribbons with ``across`` (D, V, 3) from left to right edge, and (D, E) where they are filled."""
-    tangent, valid = unit_vectors(np.diff(fill_missing(observations), axis=1)), observations.valid
+    tangent, valid = directions(observations), observations.valid
     unit = unit_vectors(np.where(valid[..., None], across, 0.0))
     director = unit[:, :-1] + unit[:, 1:]
     director = director - np.sum(director * tangent, axis=-1, keepdims=True) * tangent

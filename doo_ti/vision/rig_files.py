@@ -61,15 +61,11 @@ def save_rig(path: str | os.PathLike[str], rig: Rig) -> None:
     storage.startWriteStruct("cameras", cv2.FileNode_SEQ)
     for camera in rig.cameras:
         storage.startWriteStruct("", cv2.FileNode_MAP)
-        storage.write("name", camera.name)
-        storage.write("width", camera.width)
-        storage.write("height", camera.height)
-        storage.write("K", np.array(camera.matrix))
-        storage.write("dist", camera.distortion.reshape(1, -1).copy())
-        storage.write("R", np.array(camera.rotation))
-        storage.write("t", camera.translation.reshape(3, 1).copy())
-        if camera.turned:
-            storage.write("orientation", "apply")
+        entries = {"name": camera.name, "width": camera.width, "height": camera.height, "K": np.array(camera.matrix),
+                   "dist": camera.distortion.reshape(1, -1).copy(), "R": np.array(camera.rotation),
+                   "t": camera.translation.reshape(3, 1).copy()} | ({"orientation": "apply"} if camera.turned else {})
+        for key, value in entries.items():
+            storage.write(key, value)
         storage.endWriteStruct()
     storage.endWriteStruct()
     write_text(Path(path), storage.releaseAndGetString())

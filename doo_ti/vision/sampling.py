@@ -15,6 +15,7 @@ import taichi as ti
 
 from doo_ti.physics.algebra import applied, full, times_transposed, transposed
 from doo_ti.physics.algebra import row as row_of
+from doo_ti.physics.number import device_functions
 from doo_ti.physics.tuples import dot, plus, put_lane, record, repeated, traced
 from doo_ti.vision import cameras as camera
 from doo_ti.vision.cameras import Rig
@@ -52,7 +53,7 @@ bent, bent_slope, bent_curvature, bent_third = (
     for function in (camera.bent, camera.bent_slope, camera.bent_curvature, camera.bent_third))
 
 
-@ti.data_oriented
+@device_functions
 class Projection:
     """The cameras of a rig for one kind of number.
 
@@ -64,51 +65,42 @@ class Projection:
         self.scalar = number.scalar
         self.constant = number.lanes().constant
 
-    @ti.func
     def three(self, numbers: ti.template(), c, k):
         """Columns k to k + 2 of camera c."""
         return (ti.cast(numbers[0, c, k], self.scalar), ti.cast(numbers[0, c, k + 1], self.scalar),
                 ti.cast(numbers[0, c, k + 2], self.scalar))
 
-    @ti.func
     def rotation(self, numbers: ti.template(), c):
         """R of camera c."""
         return (self.three(numbers, c, ROTATION) + self.three(numbers, c, ROTATION + 3) + self.three(numbers, c, ROTATION + 6))
 
-    @ti.func
     def lens(self, numbers: ti.template(), c):
         """(fx, fy, cx, cy, k1, k2, p1, p2, k3, k4, k5, k6, widest) of camera c."""
         return (self.three(numbers, c, 0) + self.three(numbers, c, 3) + self.three(numbers, c, 6) + self.three(numbers, c, 9)
                 + (ti.cast(numbers[0, c, WIDEST], self.scalar),))
 
-    @ti.func
     def turned(self, numbers: ti.template(), c, x):
         """R x: a direction in the camera's axes."""
         return applied(self.rotation(numbers, c), x)
 
-    @ti.func
     def entered(self, numbers: ti.template(), c, x):
         """R x + t: a point in the camera's axes."""
         return plus(self.turned(numbers, c, x), self.three(numbers, c, TRANSLATION))
 
-    @ti.func
     def turned_back(self, numbers: ti.template(), c, y):
         """Rᵀ y: a direction in the world's axes."""
         return applied(transposed(self.rotation(numbers, c)), y)
 
-    @ti.func
     def matrix_turned_back(self, numbers: ti.template(), c, m):
         """Rᵀ M R of a matrix in the camera's axes, nine numbers row by row."""
         back = transposed(self.rotation(numbers, c))
         return times_transposed(back, transposed(times_transposed(m, back)))
 
-    @ti.func
     def form_turned_back(self, numbers: ti.template(), c, k):
         """Rᵀ K R of a symmetric K = (11, 12, 13, 22, 23, 33)."""
         m = self.matrix_turned_back(numbers, c, full(k))
         return (m[0], m[1], m[2], m[4], m[5], m[8])
 
-    @ti.func
     def normalised(self, lens, y):
         """(X, Y, 1/y3, whether it is seen) of a point in the camera's axes; finite numbers also for one that is not seen."""
         deep = y[2] > NEAREST
@@ -118,7 +110,6 @@ class Projection:
         seen = deep & (x0 * x0 + x1 * x1 < lens[WIDEST])
         return ti.select(seen, x0, self.constant(0.0)), ti.select(seen, x1, self.constant(0.0)), inverse, seen
 
-    @ti.func
     def speed(self, lens, slope, x0, x1, inverse, d):
         """px that the pixel moves as the point moves by d, from the ``slope`` of the lens."""
         w0 = d[0] - x0 * d[2]
@@ -153,7 +144,7 @@ def _bend(a):
     return a[0] - 2.0 * a[1] + a[2]
 
 
-@ti.data_oriented
+@device_functions
 class MapSampling:
     """Sampling for one kind of number.
 
@@ -167,7 +158,6 @@ class MapSampling:
         self.width = number.width
         self.first = first
 
-    @ti.func
     def window(self, numbers: ti.template(), row, c):
         """(left, top, width, height) of each rod's map, px."""
         seen = record(window=repeated(0.0 * row, 4))
@@ -178,7 +168,6 @@ class MapSampling:
                 numbers[r, c, self.first + HEIGHT]))
         return seen.window
 
-    @ti.func
     def clamped(self, place, size):
         """(place inside, distance outside, middle one of the three pixels, distance from it) along one axis."""
         low = ti.select(place > 0.5, place, 0.0 * size + 0.5)
@@ -187,7 +176,6 @@ class MapSampling:
         middle = ti.select(middle < size - 2.0, middle, size - 2.0)
         return place - inside, middle, inside - middle
 
-    @ti.func
     def taps(self, values: ti.template(), numbers: ti.template(), row, c, column, line):
         """The nine distances around pixel (column, line) of each rod's window, line by line."""
         seen = record(taps=repeated(0.0 * row, 9))
@@ -201,7 +189,6 @@ class MapSampling:
                 values[at + step - 1], values[at + step], values[at + step + 1]))
         return seen.taps
 
-    @ti.func
     def value(self, values: ti.template(), numbers: ti.template(), row, c, frame, pixel):
         """The distance at ``pixel``; outside the window ``frame``, that at its border plus the distance to the border."""
         ox, column, s = self.clamped(pixel[0] - frame[0], frame[2])
@@ -209,7 +196,6 @@ class MapSampling:
         taps = self.taps(values, numbers, row, c, column, line)
         return dot(_spline(t), applied(taps, _spline(s))) + ti.sqrt(ox * ox + oy * oy)
 
-    @ti.func
     def derivatives(self, values: ti.template(), numbers: ti.template(), row, c, frame, pixel):
         """The distance at ``pixel``, its gradient (u, v) and its second derivatives (uu, uv, vv)."""
         ox, column, s = self.clamped(pixel[0] - frame[0], frame[2])

@@ -11,7 +11,7 @@ import numpy as np
 import taichi as ti
 from numpy.typing import ArrayLike
 
-from doo_ti.physics.number import Number
+from doo_ti.physics.number import Number, device_functions
 from doo_ti.physics.tuples import cross, dot, minus, put_lane, record, repeated, variable
 from doo_ti.relaxation.tables import MOST_NUMBERS
 from doo_ti.rod.types import Material, unit_up
@@ -104,7 +104,7 @@ def _stiffness(material: Material | None) -> np.ndarray:
     return np.ascontiguousarray(np.stack([material.bend[:, 0, 0, 0], material.weight], axis=-1))
 
 
-@ti.data_oriented
+@device_functions
 class Scoring:
     """The terms of E_vis of a pack of hypotheses, ``first`` and those after it, for one kind of number."""
 
@@ -114,7 +114,6 @@ class Scoring:
         self.width, self.scalar = number.width, number.scalar
         self.edge = EdgeIntegral(number)
 
-    @ti.func
     def vertex(self, vertices: ti.template(), first, v):
         """Vertex v of the pack's hypotheses; the last hypothesis fills an incomplete pack."""
         found = record(x=repeated(self.constant(0.0), 3))
@@ -123,7 +122,6 @@ class Scoring:
             put_lane(found, self.with_lane, slot, x=(vertices[rod, v, 0], vertices[rod, v, 1], vertices[rod, v, 2]))
         return found.x
 
-    @ti.func
     def rows(self, set_index: ti.template(), material_index: ti.template(), stiffness: ti.template(), first):
         """(set, α, μ) of the pack's hypotheses."""
         zero = self.constant(0.0)
@@ -134,7 +132,6 @@ class Scoring:
                      mu=stiffness[material_index[rod], 1])
         return found.row, found.alpha, found.mu
 
-    @ti.func
     def rod_energy(self, vertices: ti.template(), first, alpha, mu, up):
         """Σ α |κb|²/l̄ + μ Σ z l̄ (§III-C), κb = 2 e × e'/(|e| |e'| + e·e')."""
         energy, before = self.constant(0.0), self.constant(0.0)
@@ -153,7 +150,6 @@ class Scoring:
             before = length
         return energy
 
-    @ti.func
     def camera_error(self, vertices: ti.template(), first, view):
         """(E_proj in the camera of ``view``, share unseen)."""
         camera = self.edge.projection

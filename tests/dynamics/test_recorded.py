@@ -55,8 +55,8 @@ def test_swapped_markers_are_changed_back(rng):
     mended, clean = (lay_out(m, lengths, REFERENCE) for m in (motion, RecordedMotion.of(whole, RATE)))
     for name in ("start_position", "end_position", "start_frame", "end_frame"):
         np.testing.assert_allclose(getattr(mended.grippers, name), getattr(clean.grippers, name), atol=1e-9)
-    np.testing.assert_allclose(mended.start.vertices, clean.start.vertices, atol=1e-9)
-    np.testing.assert_allclose(mended.velocity, clean.velocity, atol=1e-6)
+    np.testing.assert_allclose(mended.start.configuration.vertices, clean.start.configuration.vertices, atol=1e-9)
+    np.testing.assert_allclose(mended.start.velocity, clean.start.velocity, atol=1e-6)
 
 
 def test_lost_markers_are_taken_from_the_frames_around(rng):
@@ -146,10 +146,10 @@ def test_smoothing_keeps_parabolas_and_takes_noise_away(rng):
     true, smooth, rough = (lay_out(RecordedMotion.of(positions, RATE), lengths, REFERENCE, smoothing=frames)
                            for positions, frames in ((exact, 9), (noisy, 9), (noisy, 1)))
     np.testing.assert_allclose(true.grippers.start_position[0], exact[0, 1:, 0], atol=1e-9)
-    np.testing.assert_allclose(true.velocity[0], np.tile(velocity + acceleration / RATE, (8, 1)), atol=1e-6)
+    np.testing.assert_allclose(true.start.velocity[0], np.tile(velocity + acceleration / RATE, (8, 1)), atol=1e-6)
     off = [np.std(found.grippers.start_position[0] - exact[0, 1:, 0]) for found in (smooth, rough)]
-    speed = [np.std(found.velocity - true.velocity) for found in (smooth, rough)]
+    speed = [np.std(found.start.velocity - true.start.velocity) for found in (smooth, rough)]
     print(f"grippers off by {off[0]:.2f} instead of {off[1]:.2f} mm, first velocities by {speed[0]:.0f} instead of "
           f"{speed[1]:.0f} mm/s")
     assert off[0] < 0.65 * off[1] and speed[0] < 0.3 * speed[1]
-    assert true.velocity_age == 0.0 and rough.velocity_age == 0.5 / RATE
+    assert true.start.velocity_age == 0.0 and rough.start.velocity_age == 0.5 / RATE

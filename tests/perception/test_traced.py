@@ -116,8 +116,8 @@ def test_a_rod_along_something_wider_or_twice_along_a_line_is_noticed(seen):
     ends = replace(images[0], width=np.where(np.arange(images[0].count) < 60, 3.0, 1.0) * images[0].width_px)
     back = np.concatenate([rod, rod[:-12:-1] + [0.1, 0.0, 0.0]])
     found, folded = (misread(rig, shape[None], [[ends, images[1]]]) for shape in (rod, back))
-    assert found.skipped.max() < 1 and found.twice.max() < 1 and found.wider[0, 1] == 0
-    assert 50 < found.wider[0, 0] * images[0].width_px < 70 and (folded.twice > 10).all()
+    assert found["skipped"].max() < 1 and found["twice"].max() < 1 and found["wider"][0, 1] == 0
+    assert 50 < found["wider"][0, 0] * images[0].width_px < 70 and (folded["twice"] > 10).all()
 
 
 @pytest.mark.thorough

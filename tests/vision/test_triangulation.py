@@ -137,8 +137,7 @@ def observed(rig: Rig, marks: Marks, **labels):
 def test_ribbons_get_their_frames(rng):
     vertices, frames, edges = ribbon(rng)
     rig = around()
-    rods = observed(rig, marked(rig, edges, 0.0, rng), up=(0, 1, 0), end_distance=np.arange(4.0))
-    found = rods.observations
+    found, filled = observed(rig, marked(rig, edges, 0.0, rng), up=(0, 1, 0), end_distance=np.arange(4.0))
     np.testing.assert_allclose(found.vertices, vertices, atol=1e-8)
     np.testing.assert_allclose(found.frames[..., 0], frames[..., 0], atol=1e-7)
     # m1 points from left to right. The widths at both ends of an edge turn about it; their mean is its own director.
@@ -147,14 +146,14 @@ def test_ribbons_get_their_frames(rng):
     assert orthonormality_error(found.frames).max() < 1e-12 and (np.linalg.det(found.frames) > 0).all()
     np.testing.assert_array_equal(found.start_frame, found.frames[:, 0])
     np.testing.assert_array_equal(found.end_frame, found.frames[:, -1])
-    assert not rods.frames_filled.any() and found.up.tolist() == [0, 1, 0] and found.end_distance.tolist() == [0, 1, 2, 3]
+    assert not filled.any() and found.up.tolist() == [0, 1, 0] and found.end_distance.tolist() == [0, 1, 2, 3]
 
 
 def test_a_ribbon_s_uncertainty_matches_the_errors(rng):
     rig, scores = around(), []
     for _ in range(10):
         vertices, _, edges = ribbon(rng)
-        found = observed(rig, marked(rig, edges, NOISE, rng)).observations
+        found, _ = observed(rig, marked(rig, edges, NOISE, rng))
         scores.append(np.mean((found.vertices - vertices) ** 2, axis=-1) / found.sigma**2)
     assert np.mean(scores) == pytest.approx(1, rel=0.12)
 
@@ -165,10 +164,9 @@ def test_missing_edge_marks(rng):
     marks = marked(rig, edges, 0.0, rng)
     marks.pixels[:, 1, 5, 0] = np.nan  # the left mark of an inner vertex, in all images
     marks.pixels[1:, 2, 0, 1] = np.nan  # the right mark of the first, in all but one
-    rods = observed(rig, marks)
-    found = rods.observations
+    found, filled = observed(rig, marks)
     assert not found.valid[1, 5] and not found.valid[2, 0] and found.valid.sum() == found.valid.size - 2
-    assert np.argwhere(rods.frames_filled).tolist() == [[1, 4], [1, 5], [2, 0]]
+    assert np.argwhere(filled).tolist() == [[1, 4], [1, 5], [2, 0]]
     assert found.start_frame is None and np.shape(found.end_frame) == (4, 3, 3)
     assert orthonormality_error(found.frames).max() < 1e-12
     angle = np.arccos(np.clip(np.sum(found.frames[1, 4:6, :, 1] * frames[1, 4:6, :, 1], axis=-1), -1, 1))
