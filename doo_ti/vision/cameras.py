@@ -11,12 +11,11 @@ The Jacobian of b is symmetric, and so are its second and third derivatives in a
 potential. A ``lens`` is fx, fy, cx, cy, k1, k2, p1, p2, k3, k4, k5, k6, and possibly more. The functions use arithmetic only,
 so that they serve arrays as well as kernels (:mod:`doo_ti.vision.sampling`); ``kept`` makes a kernel evaluate a number once.
 
-Millimetres in the world, pixels in images, pixel (0, 0) at the centre of the upper left one.
-
-Axes: C cameras of a rig.
+Millimetres in the world, pixels in images, pixel (0, 0) at the centre of the upper left one. Axes: C cameras of a rig.
 """
 
 from collections.abc import Iterable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -31,8 +30,7 @@ RATIONAL = 8  # coefficients with those of the rational model: k4, k5, k6 as wel
 FITTED, LENS = 4 + COEFFICIENTS, 4 + RATIONAL  # numbers of a lens: those that calibration fits, and all
 MOST_SIDE = 20_000  # pixels along a side of an image
 LEAST_FOCAL_PX, MOST_PX = 1.0, 1e6  # least focal length, and largest focal length and offset of the principal point
-MOST_DISTORTION = 1e6
-MOST_MM = 1e6  # from the world's origin to a camera
+MOST_DISTORTION, MOST_MM = 1e6, 1e6  # largest coefficient, and place of a camera
 KEYS = {"matrix": "K", "distortion": "dist", "rotation": "R", "translation": "t"}  # how files name a camera's arrays
 
 
@@ -312,8 +310,8 @@ class Rig:
         return self.take(map(self.names.index, names))
 
     def read_otherwise(self) -> Iterator[tuple["Rig", str, str]]:
-        """The rigs of other readings of the same file, what they assume, and the option for it: where neither unit nor poses
-        were given."""
+        """The rigs of other readings of the same file that can be, what they assume, and the option for it: where neither unit
+        nor poses were given."""
         if self.reading.unit or self.reading.poses:
             return
         kinds = [kind for kind in POSES if kind != "opencv"]
@@ -321,7 +319,8 @@ class Rig:
         for unit, also, more in ((None, "", ""), ("m", ", in m", " --rig-unit m")):
             readings += [(RigReading(unit, kind), f"its poses are {kind}{also}", f"--rig-poses {kind}{more}") for kind in kinds]
         for reading, assumed, option in readings:
-            yield Rig(tuple(reading.applied(camera) for camera in self.cameras), self.source, reading), assumed, option
+            with suppress(InputError):  # in m a rig of some metres would be one of kilometres
+                yield Rig(tuple(reading.applied(camera) for camera in self.cameras), self.source, reading), assumed, option
 
     def check_sight(self, points: np.ndarray, what: str) -> None:
         """Raise InputError where cameras do not see ``points`` (N, 3), ``what`` for the caller, but would if their file were in
