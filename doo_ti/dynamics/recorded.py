@@ -166,6 +166,20 @@ class RecordedMotion:
         return replace(self, positions=self.positions[:, :frames], elapsed=self.elapsed[:, :frames],
                        confused=self.confused[:, :frames], frames=self.frames[:frames], alone=False)
 
+    def refined(self, rest_length: np.ndarray) -> tuple["RecordedMotion", np.ndarray, np.ndarray]:
+        """The same with one marker more amid each edge that no gripper holds, on the cubic spline through the markers; the
+        lengths of its edges where those of this one are ``rest_length`` (E,) mm; and which of its markers (V,) these are."""
+        from scipy.interpolate import CubicSpline
+
+        lengths, free = self.edge_lengths(), slice(1, None if self.free_end else -1)
+        arc = np.concatenate([[0.0], np.cumsum(lengths)])
+        places = np.sort(np.concatenate([arc, 0.5 * (arc[:-1] + arc[1:])[free]]))
+        fine = replace(self, positions=CubicSpline(arc, self.positions, axis=2)(places))
+        parts = np.where(np.isin(np.arange(self.edges), np.arange(self.edges)[free]), 2, 1)
+        stretch = np.where(parts > 1, rest_length / lengths, 1.0)
+        halves = np.where(np.repeat(parts, parts) > 1, fine.edge_lengths(), np.repeat(rest_length, parts))
+        return fine, halves * np.repeat(stretch, parts), np.searchsorted(places, arc)
+
     def edge_lengths(self) -> np.ndarray:
         """(E,) median lengths of the edges, mm."""
         return np.median(np.linalg.norm(np.diff(self.positions, axis=2), axis=-1), axis=(0, 1))

@@ -107,26 +107,33 @@ class Rollouts:
     stepping      time steps, at the rate of the recordings
     surroundings  what the rods may touch, with one row for all recordings or R; a Θ with friction has that against all of it
                   but the rod itself
+    marks         (V,) the vertices of the simulated rods that are markers
     """
 
     motion: RecordedMotion
     layout: Layout
     stepping: Stepping
-    surroundings: Surroundings = Surroundings()
+    surroundings: Surroundings
+    marks: np.ndarray
 
     @classmethod
     def of(cls, motion: RecordedMotion, theta: MotionTheta, stepping: Stepping, end: Clamp,
-           surroundings: Surroundings = Surroundings(), smoothing: int | None = None) -> "Rollouts":
+           surroundings: Surroundings = Surroundings(), smoothing: int | None = None, finer: bool = False) -> "Rollouts":
         """The rollouts of a motion.
 
         theta      of the rod; only its lengths and its roll reference are read
         end        what the far gripper holds, if there is one
         smoothing  as of :func:`.lay_out`; None: 1, but among obstacles the frames of :data:`SMOOTHED`: noise of a gripper
                    shakes the rod, which then slips where it would have stuck
+        finer      on a mesh half as long as the edges between markers and, of BDF2, with steps half as long
         """
         if smoothing is None:
             smoothing = 2 * int(0.5 * SMOOTHED * motion.rate) + 1 if surroundings else 1
-        return cls(motion, lay_out(motion, theta.rest_length, theta.reference, end, smoothing), stepping, surroundings)
+        rods, lengths, marks = motion, theta.rest_length, np.arange(motion.edges + 1)
+        if finer:
+            rods, lengths, marks = motion.refined(lengths)
+            stepping = replace(stepping, substeps=stepping.substeps * (2 if stepping.scheme == "bdf2" else 1))
+        return cls(motion, lay_out(rods, lengths, theta.reference, end, smoothing), stepping, surroundings, marks)
 
     @property
     def depth(self) -> np.ndarray:
@@ -177,9 +184,9 @@ class Rollouts:
             return self._differences(theta, directions)
         along = [Direction(simulated([before]), simulated([after]), distance) for before, after, distance in directions]
         found = self._rolled_out([theta], directions=along)
-        rods, at, vertices = np.arange(self.motion.count)[:, None], self._at, self.motion.predicted
-        slopes = np.moveaxis(found.slopes[rods, at, :, vertices], 2, 1)
-        return found.positions[rods, at, vertices], slopes, found.status[rods, at]
+        rods, at, vertices = np.arange(self.motion.count)[:, None, None], self._at[..., None], self.marks[self.motion.predicted]
+        slopes = np.moveaxis(found.slopes[rods, at, :, vertices], -2, 1)
+        return found.positions[rods, at, vertices], slopes, found.status[rods[..., 0], at[..., 0]]
 
     def _differences(self, theta: MotionTheta, directions) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """The same by differences; the status is the worst of all rollouts."""
@@ -199,7 +206,8 @@ class Rollouts:
         """The simulation of every recording under every Θ."""
         count, each, layout = self.motion.count, len(thetas), self.layout
         pairs = np.repeat(np.arange(count), each), np.tile(np.arange(each), count)
-        material, dynamics = simulated(thetas)
+        lengths = layout.start.configuration.rest_length
+        material, dynamics = simulated([replace(theta, rest_length=lengths) for theta in thetas])
         surroundings = self.surroundings.take(pairs[0])
         if thetas[0].friction is not None:
             surroundings = surroundings.rubbing(np.array([theta.friction for theta in thetas])[pairs[1]])
@@ -211,7 +219,7 @@ class Rollouts:
         motion, at = self.motion, self._at
         rods = np.arange(motion.count)[:, None]
         positions = np.repeat(motion.positions[:, None], each, axis=1)
-        inner = found.positions.reshape(motion.count, each, -1, *motion.positions.shape[2:])
+        inner = found.positions[:, :, self.marks].reshape(motion.count, each, -1, *motion.positions.shape[2:])
         for g in range(each):
             positions[:, g, 2:, motion.predicted] = inner[rods, g, at][:, :, motion.predicted]
         status = np.zeros(positions.shape[:3], dtype=np.int8)

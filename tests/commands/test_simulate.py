@@ -35,8 +35,8 @@ def recording(tmp_path_factory):
     """A recording of four rods that grippers move, made by a simulation."""
     folder = tmp_path_factory.mktemp("motion")
     scene = folder / "scene.toml"
-    scene.write_text(SCENE.replace("duration_s = 0.2", "duration_s = 1.2").replace("edges = 6", "edges = 6\nat_rest = true"))
-    positions = made(["simulate", str(scene), "--out", str(folder / "made.npz")])["positions_mm"]
+    scene.write_text(SCENE.replace("duration_s = 0.2", "duration_s = 1.2").replace("edges = 6", "edges = 24\nat_rest = true"))
+    positions = made(["simulate", str(scene), "--substeps", "8", "--out", str(folder / "made.npz")])["positions_mm"]
     noise = np.random.default_rng(5).normal(0, 0.05, (4, *positions.shape[1:]))
     noise[:, :, [0, 1, -2, -1]] = 0.0  # noise of grippers shakes the rod, and biases its damping
     np.savez(folder / "recorded.npz", positions_mm=positions + noise, rate_hz=50.0)
@@ -67,13 +67,13 @@ def test_a_fit_far_off_is_doubted(recording, tmp_path, capsys, monkeypatch):
 @pytest.mark.thorough
 def test_still_frames_join_the_motion(recording, tmp_path, capsys):
     shape = np.load(recording / "made.npz")["positions_mm"][0, :1]
-    np.savez(tmp_path / "still.npz", vertices_mm=np.repeat(shape, 3, axis=0), rest_length_mm=np.full(6, 50.0))
+    np.savez(tmp_path / "still.npz", vertices_mm=np.repeat(shape, 3, axis=0), rest_length_mm=np.full(24, 12.5))
     command = ["identify", str(recording / "recorded.npz"), "--modes", "0", "--fit", "bend_damping", "--bend", "5e5", "--out",
                str(tmp_path / "theta.json"), "--still", str(tmp_path / "still.npz")]
     assert "3 still frames, 0 left out" in succeeded(capsys, [*command, "--still-noise", "0.05"])
     fitted = json.loads((tmp_path / "theta.json").read_text())
     assert fitted["bend_mm3"] == pytest.approx(1e6, rel=0.02) and fitted["stills"]["mean_error_mm"] < 0.2
-    np.savez(tmp_path / "still.npz", vertices_mm=2.0 * shape, rest_length_mm=np.full(6, 100.0))
+    np.savez(tmp_path / "still.npz", vertices_mm=2.0 * shape, rest_length_mm=np.full(24, 25.0))
     for more in ([], ["--still-noise", "-1"]):
         assert main([*command, *more]) == 2
     assert main([*command[:-2], "--still-noise", "1"]) == 2
@@ -142,7 +142,7 @@ def test_poses_of_grippers_without_markers(recording, theta, tmp_path, capsys):
     assert main(["simulate", poses, *more]) == 2 and "--motion" in capsys.readouterr().err
     command = ["simulate", str(tmp_path / "seen.npz"), "--motion", poses, *more]
     found = made(command)
-    assert found["positions_mm"].shape == (1, 12, 7, 3) and (found["status"] == 0).all() and found["rate_hz"] == 50
+    assert found["positions_mm"].shape == (1, 12, 25, 3) and (found["status"] == 0).all() and found["rate_hz"] == 50
     np.testing.assert_allclose(found["positions_mm"][0, :, -1], ends, atol=1e-6)
     as_before = made(["simulate", poses, "--start", str(tmp_path / "seen.npz"), *more])
     np.testing.assert_array_equal(found["positions_mm"], as_before["positions_mm"])
