@@ -87,6 +87,8 @@ def run(options: Namespace) -> int:
     share = summary["mean_error_mm"] / motion.edge_lengths().sum()
     doubts.say(options.motions[0], None if not share > FAR_OFF else f"after the fit the rod is {share:.1%} of its length off; "
                "check the rate, the unit, --up and the order of the markers")
+    doubts.say(options.motions[0], "the best guess is half as far off if the last marker is on the gripper; give the markers "
+               "from the gripper on" if motion.free_end and _better_reversed(motion, chosen, up) else None)
     if options.picture is not None:
         positions, _, _, simulation = rollouts.simulated(found.theta)
         touched = Touched(surroundings, positions, simulation.contact_force) if surroundings else None
@@ -94,6 +96,15 @@ def run(options: Namespace) -> int:
                      found.theta.up, touched=touched)
     report(options, summary, lambda: _lines(summary, motion))
     return 0
+
+
+def _better_reversed(motion, chosen, up) -> bool:
+    """Whether the best guess is half as far off where a rod's last marker is taken for its first."""
+    from doo_ti.dynamics.identify import first_errors, guesses
+
+    other = replace(motion, positions=motion.positions[:, :, ::-1])
+    here, there = (first_errors(one, chosen, guesses(one, chosen, None, up)).min() for one in (motion, other))
+    return bool(there < 0.5 * here)
 
 
 def _stills(options: Namespace, motion, surroundings) -> list:

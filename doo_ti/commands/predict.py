@@ -16,6 +16,7 @@ from doo_ti.learning.landscape import status_counts
 from doo_ti.report.contact import Touched
 from doo_ti.report.motions import MovingRods, motions_picture
 from doo_ti.rod.frames import matrix_from_quaternion
+from doo_ti.rod.material import STANDARD_GRAVITY
 from doo_ti.rod.types import Clamp, Status
 from doo_ti.system.arguments import counted
 from doo_ti.system.errors import InputError
@@ -26,6 +27,7 @@ DEGREES = given.number("a number of degrees from 0.001 to 30", lambda degrees: 1
 """Of a sub-step: rods that are carried further at once may leave their branch; smaller steps make no difference."""
 MOST_STEPS = 1000  # with friction, from one state to the next
 MOST_BYTES = 8 << 30  # of frames: predictions are held in memory
+NOTABLE, APART = 0.1, 0.1  # of gravity: accelerations that are said; s between the places that they are from, noise apart
 
 
 def declare(add) -> None:
@@ -160,6 +162,8 @@ def _lines(rods: HeldRods, stepping, prediction, result: dict, summary: dict) ->
         *results.rows(
             ("status", f"{results.status_text(summary['status'])}; {how}"), results.contact_row(summary, count),
             ("infeasible", inside), *results.force_rows(result, 1),
+            ("inertia", (swift := _acceleration(prediction)) > NOTABLE and f"left out; rods accelerate by up to {swift:.2g} "
+                        "of gravity: simulate has it"),
             ("far clamp", f"at the end turned about the rod by {_range(summary['end_rotation_deg'])}, total twist "
                           f"{_range(summary['total_twist_deg'])}"),
             ("jumps", stepping is None and f"{int(prediction.jumps.sum())}, {where}")),
@@ -170,6 +174,18 @@ def _lines(rods: HeldRods, stepping, prediction, result: dict, summary: dict) ->
         *results.shortened([
             f"    {rods.names[rod]}: no prediction from {prediction.time[int(np.argmin(prediction.followed[:, rod]))]:g} s on"
             for rod in lost], MOST_LISTED, "    and {} more")]
+
+
+def _acceleration(prediction) -> float:
+    """The largest acceleration of a vertex over gravity's, of rods that do not jump, from places :data:`APART` s apart."""
+    time = prediction.time
+    apart = max(1, int(np.ceil(APART / np.diff(time).max()))) if len(time) > 1 else 1
+    places, steps = prediction.vertices[::apart, ~prediction.jumps.any(axis=0)], np.diff(time[::apart])
+    if len(steps) < 2:
+        return 0.0
+    speed = np.diff(places, axis=0) / steps[:, None, None, None]
+    rates = 2.0 * np.linalg.norm(np.diff(speed, axis=0), axis=-1) / (steps[1:] + steps[:-1])[:, None, None]
+    return float(np.nanmax(rates, initial=0.0) / (1e3 * STANDARD_GRAVITY))
 
 
 def _range(degrees: np.ndarray) -> str:

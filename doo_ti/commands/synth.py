@@ -27,7 +27,7 @@ def declare(add) -> None:
     parser.add_argument("observations", metavar="IN", help=loading.FORMATS)
     given.add(parser, "out", "OUT", given.OBSERVATIONS, ".npz, .csv or .parquet")
     loading.add_loading(parser)
-    given.add(parser, "--select", "FROM:TO[:STEP]", str, "only these observations, numbered from 0 (default: all; with "
+    given.add(parser, "--select", "FROM:TO[:STEP]|N,N,…", str, "only these observations, numbered from 0 (default: all; with "
               "--complete those of one mark or none are not counted)")
     given.add(parser, "--marks", "FROM:TO[:STEP]", str, "only these marks of each, numbered from 0, or from the end where "
               "negative: 2:-2 leaves out two at either end (default: all)")
@@ -63,7 +63,7 @@ def run_convert(options: Namespace) -> int:
     kept = _selected(options.marks, observations.edges + 1, "--marks")
     if options.marks is not None:
         observations = observations.of_marks(kept)
-    rows = np.arange(observations.count)[_selected(options.select, observations.count)]
+    rows = _rows(options.select, observations.count)
     rows = rows[observations.valid[rows].all(axis=1)] if options.complete else rows
     if not len(rows):
         raise InputError(options.observations, "observations", "none is left", "select others, or leave --complete out")
@@ -99,6 +99,16 @@ def _convert_motion(options: Namespace, out: Path) -> int:
     print(f"{several}{positions.shape[-3]} frames of {positions.shape[-2]} markers at {rate:g}/s, {gaps} positions missing, "
           f"written to {in_line(out)}; up is {','.join(f'{value:g}' for value in up)}")
     return 0
+
+
+def _rows(text: str | None, count: int) -> np.ndarray:
+    """The numbers, of ``count``, that --select names one by one or as a range."""
+    numbers = np.arange(count)
+    if text is None or "," not in text:
+        return numbers[_selected(text, count)]
+    if unknown := [part for part in text.split(",") if part.strip() not in map(str, numbers)]:
+        raise InputError(given.SOURCE, "--select", f"{unknown[0]!r} in {text!r}", f"give numbers from 0 to {count - 1}")
+    return np.array([int(part) for part in text.split(",")])
 
 
 def _selected(text: str | None, count: int, option: str = "--select") -> slice:

@@ -88,7 +88,7 @@ class IdentifyOptions:
     @property
     def rounds(self) -> int:
         """Most iterations of all fits."""
-        return self.iterations * len(self.horizons)
+        return self.iterations * (len(self.horizons) + (0 if self.surroundings else CORRECTIONS))
 
     def rollouts(self, motion: RecordedMotion, theta: MotionTheta, finer: bool = False) -> Rollouts:
         """How recordings of the rod of ``theta`` are rolled out, on the mesh of the markers or ``finer`` (see there)."""
@@ -189,18 +189,19 @@ def identify_from_guesses(motion: RecordedMotion, options: IdentifyOptions, bend
                           stills: Sequence[Observations] = ()) -> Identified:
     """:func:`identify` from the best of the :func:`guesses` on the shortest horizon."""
     thetas = guesses(motion, options, bend, up)
-    begin = thetas[0]
     length = float(motion.edge_lengths().sum())
-    at_rest = [Stills.of(one, begin.reference, length, options.surroundings) for one in stills]
-    best = 0
-    if len(thetas) > 1:
-        part = motion.until(min(options.horizons) + 2)
-        positions, _ = options.rollouts(part, begin).predicted(thetas)
-        error = np.abs(positions - part.positions[:, None]).mean(axis=(2, 3, 4))
-        usable = np.isfinite(error).any(axis=0)
-        if usable.any():
-            best = int(np.flatnonzero(usable)[np.argmin(np.nanmedian(error[:, usable], axis=0))])
+    at_rest = [Stills.of(one, thetas[0].reference, length, options.surroundings) for one in stills]
+    best = int(np.argmin(first_errors(motion, options, thetas))) if len(thetas) > 1 else 0
     return identify(motion, thetas[best], options, report, at_rest)
+
+
+def first_errors(motion: RecordedMotion, options: IdentifyOptions, thetas: Sequence[MotionTheta]) -> np.ndarray:
+    """(G,) mm by which each Θ is off on the shortest horizon, the median over recordings; infinite where all fail."""
+    part = motion.until(min(options.horizons) + 2)
+    positions, _ = options.rollouts(part, thetas[0]).predicted(thetas)
+    error = np.abs(positions - part.positions[:, None]).mean(axis=(2, 3, 4))
+    usable = np.isfinite(error).any(axis=0)
+    return np.array([np.nanmedian(own) if finite else np.inf for own, finite in zip(error.T, usable, strict=True)])
 
 
 @dataclass(frozen=True)

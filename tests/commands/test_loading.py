@@ -187,7 +187,7 @@ def test_relax_prints_what_it_loaded(tmp_path, capfd):
 
 @pytest.mark.parametrize("words", [
     ["--unit", "inch"], ["--columns", "x=east,y"], ["--columns", "x=west,y=height,z=north"], ["--select", "1"],
-    ["--select", "a:b"],
+    ["--select", "a:b"], ["--select", "0,x"], ["--select", "0,9999"],
     ["--select", "5:6"], ["--marks", "1:2"], ["--marks", "3"], ["--motion"]])
 def test_wrong_options_write_nothing(tmp_path, metres, capfd, words):
     words = ["--columns", "x=east,y=height,z=north", *words]
@@ -198,7 +198,7 @@ def test_wrong_options_write_nothing(tmp_path, metres, capfd, words):
 def test_results_as_csv(tmp_path, shipped_data):
     """The same numbers as in the npz, for a program without NumPy."""
     marks = str(tmp_path / "marks.npz")
-    assert main(["convert", str(shipped_data / "lab_a" / "vicryl.npz"), marks, "--select", "0:2"]) == 0
+    assert main(["convert", str(shipped_data / "lab_a" / "vicryl.npz"), marks, "--select", "0,1"]) == 0
     (tmp_path / "path.csv").write_text("time_s,end_rotation_deg\n0,0\n1,20\n")
     material = ["--bend", "6e5", "--twist", "8e5"]
     commands = {"relax": [], "predict": ["--motion", str(tmp_path / "path.csv")], "twist": []}

@@ -1,6 +1,7 @@
 """``doo-ti predict``: output, files, refused input."""
 
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -216,11 +217,21 @@ def test_times_of_a_motion_are_kept_and_forces_are_in_newton(folder, capsys):
     command = ["predict", str(folder / "seen.npz"), "--motion", str(folder / "slow.npz"), "--EI", "1e-4", "--GJ", "1e-4",
                "--linear-density", "10", "--out", str(folder / "f.npz")]
     found, out = made(command), capsys.readouterr().out
+    assert "inertia" not in out
     newton = 0.01 * 9.80665 / 2 / 1000  # half the weight of a millimetre
     np.testing.assert_allclose(found["end_force_N"], newton * found["end_force"], rtol=1e-9)
     assert f"{np.linalg.norm(found['end_force_N'][-1], axis=-1).min():.3g}" in out and " N on the rod at the end" in out
     (_, found), = force_rows({"end_force_N": np.array([[[0, 0, 0.1]], [[-0.5, 0, 0]]])}, 1)
     assert "0.5 N (-0.5, 0, 0) on the rod" in found, "a clamp that pushes"
+
+
+def test_swift_motions_say_that_inertia_is_left_out(folder, capsys):
+    """An end that moves by 5 mm (1 − cos) in half a second, at 20 rad/s at most: with 2 m/s², a fifth of gravity."""
+    time = np.arange(26) / 50.0
+    seen = np.load(folder / "seen.npz")["vertices_mm"][0, -1]
+    np.savez(folder / "swift.npz", time_s=time, end_position_mm=seen - 5.0 * (1 - np.cos(20 * time))[:, None] * [1, 0, 0])
+    printed = succeeded(capsys, words(folder, "seen.npz", "swift.npz"))
+    assert re.search(r"inertia +left out; rods accelerate by up to 0\.[12]\d? of gravity", printed)
 
 
 def test_clamps_inside_an_obstacle_are_said(folder, capsys):

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from doo_ti import IdentifyOptions, MotionTheta, Observations, RecordedMotion, Stills, identify, identify_from_guesses
+from doo_ti.commands.identify import _better_reversed
 from doo_ti.dynamics.theta import Unknowns
 from tests.conftest import check_refused
 from tests.dynamics.recordings import RATE, recorded
@@ -38,6 +39,8 @@ def test_theta_is_found_from_recordings_without_noise(rng, free_end):
     motion = rolled_out(rng, 4, free_end)
     assert motion.glitches() == [] and motion.predicted == slice(2, None if free_end else -2)
     found = identify(motion, GUESS, OPTIONS)
+    turned = replace(motion, positions=motion.positions[:, :, ::-1])
+    assert not free_end or _better_reversed(turned, OPTIONS, TRUE.up) and not _better_reversed(motion, OPTIONS, TRUE.up)
     bend = found.parameters()[0]
     assert not found.failed.any() and found.error.mean() < 0.3 and bend["low"] <= TRUE.bend <= bend["high"]
     assert abs(bend["value"] / TRUE.bend - 1) < (0.01 if free_end else 0.03)
