@@ -24,6 +24,7 @@ LARGEST_TURN = np.radians(60.0)  # a gripper that seems to turn by more in one f
 FINE, SWAPPED, LOST = 0, 1, 2
 MOST_CONFUSED = 50  # frames after which such a turn is taken as real
 LEAST_MM, MOST_MM = 1e-6, 1e6  # between neighbouring markers, and from the origin
+ROUNDED = 1e-3  # of the distance of a gripper's markers: by so much a clip that ends at the inner one may be longer
 LEAST_HELD = 5e-3  # of an end edge: half the length of the edge that stands for it where a gripper holds all of it
 GRIPPED = (0, 1, -2, -1)  # vertices of the first and last edge
 
@@ -192,8 +193,8 @@ class RecordedMotion:
         if clip is None:
             return lengths
         ends = [0] if self.free_end else [0, -1]
-        if clip > lengths[ends].min():
-            raise InputError("motion", "clip", f"{clip:g} mm; a gripper's inner marker is at {lengths[ends].min():.4g} mm",
+        if clip > (1.0 + ROUNDED) * lengths[ends].min():
+            raise InputError("motion", "clip", f"{clip:g} mm; a gripper's inner marker is at {lengths[ends].min():.6g} mm",
                              "leave out the outer marker, so that the next two are the gripper's")
         lengths[ends] = 2.0 * np.maximum(lengths[ends] - clip, LEAST_HELD * lengths[ends])
         return lengths
