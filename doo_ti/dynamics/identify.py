@@ -91,7 +91,7 @@ class IdentifyOptions:
         return self.iterations * (len(self.horizons) + (0 if self.surroundings else CORRECTIONS))
 
     def rollouts(self, motion: RecordedMotion, theta: MotionTheta, finer: bool = False) -> Rollouts:
-        """How recordings of the rod of ``theta`` are rolled out, on the mesh of the markers or ``finer`` (see there)."""
+        """How recordings of the rod of ``theta`` are rolled out; ``finer`` as of :meth:`.Rollouts.of`."""
         stepping = Stepping(motion.rate, self.substeps, self.scheme)
         return Rollouts.of(motion, theta, stepping, self.end, self.surroundings, self.smoothing, finer)
 
@@ -103,7 +103,7 @@ class Identified:
     theta       Θ
     unknowns    what the entries of p are
     vector      (P,) p
-    covariance  (P, P) of p, recordings taken as independent
+    covariance  (P, P) of p, recordings taken as independent, and of what corrections of mesh and steps leave
     error       (R,) mm, the mean over frames from 2 on of :func:`mean_error`; NaN for recordings that failed
     failed      (R,) bool: some step of the recording did not converge, and it was left out
     cost        Σ ρ, mm²

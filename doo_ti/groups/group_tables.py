@@ -269,11 +269,13 @@ def _ties(group: Group, members: list[Member]) -> tuple[np.ndarray, np.ndarray]:
 
 def _stiffness_of_ties(group: Group, members: list[Member], ties: np.ndarray, targets: np.ndarray, pull: np.ndarray,
                        start: np.ndarray, longest: np.ndarray) -> np.ndarray:
-    """(N, ties) mm³: the stiffness of the softer rod, or more where weights ``pull`` at vertices (N, V) that are tied together:
-    a tie may carry all of them. Under that it is to give way by its length only where points have yet to be drawn together.
-    Where the vertices ``start`` (N, V, 3) in their places, a soft rope would let go of what it holds.
+    """(N, ties) mm³ that κ is over: the stiffness of the softer rod, or what the weight of all rods tied together makes of it,
+    which a tie may carry. Under that weight κ gives way by the length of a rod while points are still drawn together, and by
+    CLOSED of it where they are together at the start: a soft rope would let go of what hangs on it.
 
-    longest  (N,) mm, of the longest rod
+    pull     (N, V) weight at each vertex
+    start    (N, V, 3) mm
+    longest  (N,) mm, length of the longest rod
     """
     one, other, alone = ties[:, 0], ties[:, 1], ties[:, 1] < 0
     missed = start[:, one] - np.where(alone[:, None], targets[..., :3], start[:, other])
