@@ -54,9 +54,9 @@ class PerceptionVerdict(IntEnum):
     CLEAR      there are no :attr:`Perception.doubts`: images alone separate it from others, by a gap of 0.1 px, and it is a
                certified minimum within 1 px of the line in each camera, which explains 95 % of it and is certain to 1 mm
     LIKELY     a gap of at least 0.02 px, to which the rod's energy may help; or a wider gap, but the rod is off the line
-    AMBIGUOUS  either of two may be the rod; or it has not converged, is shorter than its paths, or in all cameras but one
-               explains less than half of the line, leaves a piece out or passes along it twice; or a vertex is uncertain by a
-               tenth of the rod's length
+    AMBIGUOUS  either of two may be the rod; or there is one camera, which shows no depth; or it has not converged, is shorter
+               than its paths, or in all cameras but one explains less than half of the line, leaves a piece out or passes along
+               it twice; or a vertex is uncertain by a tenth of the rod's length
     NOT_FOUND  mean distance above 1 px in all cameras but one and above 3 px in one, also without the edges that no camera
                shows, or more than half of all are such edges: other cameras, a wrong rig, seed or length
     """
@@ -179,7 +179,7 @@ class Perception:
         far_off = self._far_off(self.camera_error)
         lost = far_off & self._far_off(self.shown_error)  # else cameras do not show all of it
         explained = np.sort(np.nan_to_num(self.coverage, nan=1.0), axis=1)[:, -1 - self._two]
-        likely = (self.status == Status.CONVERGED) & (self.gap >= AMBIGUOUS_PX) & ~far_off
+        likely = (self.status == Status.CONVERGED) & (self.gap >= AMBIGUOUS_PX) & ~far_off & (self._two > 0)
         # Of a longer thread a rod explains a part.
         whole, part = LEAST_COVERED
         likely &= explained >= np.maximum(whole * np.fmin(1.0, length / self.thread_length), part)

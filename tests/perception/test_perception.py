@@ -111,6 +111,14 @@ def test_the_verdict_is_a_scale(found):
     assert replace(several, gap=np.full(SETS, 9.0), camera_error=blurred).verdict.tolist() == [PerceptionVerdict.LIKELY] * SETS
 
 
+def test_one_camera_makes_a_rod_ambiguous(found):
+    """However well it fits there: length and stiffness alone say how far away the rod is."""
+    alone = replace(found[0], **{name: getattr(found[0], name)[:, :1] for name in (
+        "camera_error", "hidden", "edge_error", "coverage", "outside", "skipped", "twice", "wider")})
+    assert (found[0].verdict == PerceptionVerdict.CLEAR).any()
+    assert (alone.verdict == PerceptionVerdict.AMBIGUOUS).all() and alone.doubts["one camera"].all()
+
+
 def test_images_of_other_cameras_are_no_rod(scene):
     """Two cameras swapped: no rod fits them, which the verdict says."""
     rig, rods, maps = scene
