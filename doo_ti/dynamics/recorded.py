@@ -176,10 +176,9 @@ class RecordedMotion:
         arc = np.concatenate([[0.0], np.cumsum(lengths)])
         places = np.sort(np.concatenate([arc, 0.5 * (arc[:-1] + arc[1:])[free]]))
         fine = replace(self, positions=CubicSpline(arc, self.positions, axis=2)(places))
-        parts = np.where(np.isin(np.arange(self.edges), np.arange(self.edges)[free]), 2, 1)
-        stretch = np.where(parts > 1, rest_length / lengths, 1.0)
-        halves = np.where(np.repeat(parts, parts) > 1, fine.edge_lengths(), np.repeat(rest_length, parts))
-        return fine, halves * np.repeat(stretch, parts), np.searchsorted(places, arc)
+        halves = fine.edge_lengths()[1 : None if self.free_end else -1].reshape(-1, 2) * (rest_length / lengths)[free, None]
+        ends = rest_length[:1], rest_length[len(halves) + 1 :]
+        return fine, np.concatenate([ends[0], halves.ravel(), ends[1]]), np.searchsorted(places, arc)
 
     def edge_lengths(self) -> np.ndarray:
         """(E,) median lengths of the edges, mm."""
