@@ -17,11 +17,13 @@ from msgspec import UNSET, Meta, UnsetType
 
 from doo_ti.contact.obstacle_file import obstacles_of
 from doo_ti.contact.surroundings import Surroundings
+from doo_ti.contact.touch import LEAST, MOST
 from doo_ti.dynamics.parameters import Dynamics
 from doo_ti.dynamics.scene import InertiaKeys, checked_material, stated_instants
 from doo_ti.groups.group import Group, Tie
 from doo_ti.io import toml_file
 from doo_ti.io.toml_file import ClampName, NotNegative, Positive, Table, Vector, checked, stated_material
+from doo_ti.relaxation.newton import MOST_IN_CONTACT, Newton
 from doo_ti.rod.frames import unit_direction
 from doo_ti.rod.material import STANDARD_GRAVITY
 from doo_ti.rod.shapes import rod_along, with_end_edges
@@ -50,12 +52,15 @@ class GroupScene:
     dynamics: list[Dynamics] | None = None  # G of them, or None without inertia
     scheme: str | None = None  # of the time steps, as :func:`.follow_group` takes it
     newton: float | None = None  # N in the unit of force, where the materials state their mass per length, or None
+    gap_tolerance: float | None = None  # of the rods' radius, as of :class:`.Newton`
 
     @property
     def arguments(self) -> dict:
         """What :func:`.follow_group` takes besides the group and its clamps."""
         inertia = {} if self.dynamics is None else {"dynamics": self.dynamics, "rate": self.rate, "scheme": self.scheme}
-        return self.surroundings.arguments | inertia
+        solver = {} if self.gap_tolerance is None else {
+            "solver": Newton(max_iterations=MOST_IN_CONTACT, gap_tolerance=self.gap_tolerance)}
+        return self.surroundings.arguments | inertia | solver
 
 
 class _File(Table):
@@ -67,6 +72,7 @@ class _File(Table):
     duration_s: Positive | None = None
     dynamic: bool = False
     scheme: Literal["bdf2", "euler"] | None = None
+    gap_tolerance: Annotated[float, Meta(ge=LEAST, le=MOST)] | None = None
     ties: list = []
     obstacles: list = []
 
@@ -139,7 +145,7 @@ def load_group_scene(path: str | Path) -> GroupScene:
     radius = radii[0] if len(set(radii)) == 1 else np.array([radii])
     return GroupScene(in_line(path.stem if file.name is None else file.name), tuple(map(in_line, file.rods)), group, moments,
                       time, file.rate_hz or 1.0, Surroundings(obstacles_of(path, file.obstacles), radius),
-                      dynamics if file.dynamic else None, file.scheme, newton)
+                      dynamics if file.dynamic else None, file.scheme, newton, file.gap_tolerance)
 
 
 def _known(path: Path, key: str, name: str, names) -> str:

@@ -139,3 +139,37 @@ def test_scenes_that_ship_converge(path):
     deepest = -1e-3 * np.min(scene.surroundings.radius)
     for solution in follow_group(scene.group, scene.clamps, **scene.surroundings.arguments):
         assert solution.converged.all() and solution.stable.all() and solution.gap[0] > deepest
+
+
+DRAGGED = """
+radius_mm = 2
+rate_hz = 4
+duration_s = 1
+gap_tolerance = 1e-6
+[materials.rope]
+EI = 1e-4
+linear_density = 30
+[rods.rope]
+length_mm = 500
+edges = 50
+position_mm = [0, 0, 2]
+start = "position"
+[[rods.rope.moments]]
+time_s = 1
+start_position_mm = [-60, 0, 2]
+[[obstacles]]
+kind = "plane"
+point = [0, 0, 0]
+normal = [0, 0, 1]
+friction = 0.4
+"""
+
+
+def test_forces_are_as_exact_as_gaps(tmp_path):
+    """Where a rope is dragged along a table, friction at every vertex is 0.4 of the force, by Coulomb."""
+    scene = load(tmp_path, DRAGGED)
+    for solution in follow_group(scene.group, scene.clamps, **scene.arguments):
+        assert solution.converged.all()
+    force = solution.contact_force[0][0, 5:-2]
+    np.testing.assert_allclose(np.linalg.norm(force[:, :2], axis=1) / force[:, 2], 0.4, rtol=1e-3)
+    check_refused("gap_tolerance", load, tmp_path, DRAGGED.replace("1e-6", "0.5"))
