@@ -79,7 +79,7 @@ def run(options: Namespace) -> int:
         found = fit(motion, "all recordings")
     if found.failed.all():
         raise RuntimeError(f"no recording could be rolled out, from {len(motion.names)}; give a higher --bend to begin with")
-    rollouts = chosen.rollouts(motion, found.theta, finer=not surroundings)
+    rollouts = chosen.rollouts(motion, found.theta, finer=True)
     summary = _summary(found, motion, held_out, rollouts, options.out)
     save_json(options.out, {"doo_ti": "theta", **summary["theta"], **{key: summary[key] for key in (
         "parameters", "error_mm", "mean_error_mm", "median_error_mm", "smoothing", "failed", "inside_mm", "held_out", "stills",
@@ -130,7 +130,7 @@ def _held_out(motion, folds: int, chosen, fit) -> np.ndarray:
         out = np.arange(motion.count) % folds == fold
         theta = fit(motion.take(np.flatnonzero(~out)), f"fold {fold + 1} of {folds}").theta
         rest = motion.take(np.flatnonzero(out))
-        positions = chosen.rollouts(rest, theta, finer=not chosen.surroundings).predicted([theta])[0][:, 0]
+        positions = chosen.rollouts(rest, theta, finer=True).predicted([theta])[0][:, 0]
         error[out] = mean_error(positions, rest.positions)[:, 2:].mean(axis=1)
     return error
 

@@ -144,7 +144,7 @@ def _recorded(options: Namespace, out: Path, changes: dict, up: np.ndarray) -> _
     with progress() as bar:
         task = bar.add_task("simulating", total=motion.count * (motion.positions.shape[1] - 2), unit="rods x frames")
         rollouts = Rollouts.of(motion, theta, stepping, IdentifyOptions.end, surroundings, options.smoothing,
-                               finer=not surroundings)
+                               finer=True)
         positions, status, energies, found = rollouts.simulated(
             theta, progress=lambda done: bar.update(task, completed=motion.count * done))
     return _Simulated(Path(options.source).stem, list(motion.names), positions, status, motion.rate, theta.up,

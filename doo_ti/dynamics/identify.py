@@ -17,7 +17,7 @@ from doo_ti.dynamics.parameters import Stepping
 from doo_ti.dynamics.recorded import RecordedMotion
 from doo_ti.dynamics.rollouts import Rollouts, require_smoothing, roll_reference
 from doo_ti.dynamics.theta import MotionTheta, Stills, Unknowns
-from doo_ti.rod.observations import Observations
+from doo_ti.rod.observations import Observations, median_of_seen
 from doo_ti.rod.types import Clamp, Status
 from doo_ti.system.arguments import short_repr, typed
 from doo_ti.system.errors import InputError, require_whole
@@ -27,7 +27,7 @@ LONG_STEP = 5e-3
 """The same for differences of rollouts: they are off by the tolerance of gaps and average over contacts that begin."""
 BENDS = (3e-4, 3e-3, 3e-2, 0.3)  # bend stiffness over weight and the cube of the length, to begin with
 FRICTIONS = (0.1, 0.3, 0.6)  # coefficients to begin with
-CORRECTIONS = 2  # fits after the error of mesh and steps has been estimated
+CORRECTIONS = 2
 LEFT = 1 / 4  # of what they changed: the standard error that they leave
 
 
@@ -88,7 +88,12 @@ class IdentifyOptions:
     @property
     def rounds(self) -> int:
         """Most iterations of all fits."""
-        return self.iterations * (len(self.horizons) + (0 if self.surroundings else CORRECTIONS))
+        return self.iterations * (len(self.horizons) + self.corrections)
+
+    @property
+    def corrections(self) -> int:
+        """Fits with the error of mesh and steps taken out."""
+        return 0 if self.surroundings else CORRECTIONS
 
     def rollouts(self, motion: RecordedMotion, theta: MotionTheta, finer: bool = False) -> Rollouts:
         """How recordings of the rod of ``theta`` are rolled out; ``finer`` as of :meth:`.Rollouts.of`."""
@@ -142,14 +147,13 @@ def identify(motion: RecordedMotion, begin: MotionTheta, options: IdentifyOption
     require_clear_grippers(motion, begin, options)
     unknowns = Unknowns(begin, options.modes, options.fitted)
     p = unknowns.vector(begin)
-    made = 0
-    frames = motion.positions.shape[1]
+    made, frames = 0, motion.positions.shape[1]
     for horizon in sorted({min(h + 2, frames) for h in options.horizons}):
         fit = _Fit(motion.until(horizon), unknowns, options, stills)
         p, cost, iterations = fit.minimise(p, lambda k, error, horizon=horizon: report and report(horizon, k, error))
         made += iterations
     coarse = p
-    for _ in range(0 if options.surroundings else CORRECTIONS):
+    for _ in range(options.corrections):
         fit.correct(p)
         p, cost, iterations = fit.minimise(p, lambda k, error: report and report(frames, k, error))
         made += iterations
@@ -158,8 +162,7 @@ def identify(motion: RecordedMotion, begin: MotionTheta, options: IdentifyOption
     theta = unknowns.theta(p)
     error = np.where(failed, np.nan, np.abs(residual).mean(axis=(1, 2, 3)) * (residual.shape[2] / motion.positions.shape[2]))
     still = fit.linearised_stills(p, fit.variance(residual, ~failed))
-    left = LEFT * (p - coarse)
-    covariance = fit.covariance(residual, slopes, ~failed, still) + np.outer(left, left)
+    covariance = fit.covariance(residual, slopes, ~failed, still) + LEFT**2 * np.outer(p - coarse, p - coarse)
     return Identified(theta, unknowns, p, covariance, error, failed, cost, made,
                       np.concatenate([np.zeros(0), *(part.error for part in still)]))
 
@@ -200,8 +203,7 @@ def first_errors(motion: RecordedMotion, options: IdentifyOptions, thetas: Seque
     part = motion.until(min(options.horizons) + 2)
     positions, _ = options.rollouts(part, thetas[0]).predicted(thetas)
     error = np.abs(positions - part.positions[:, None]).mean(axis=(2, 3, 4))
-    usable = np.isfinite(error).any(axis=0)
-    return np.array([np.nanmedian(own) if finite else np.inf for own, finite in zip(error.T, usable, strict=True)])
+    return np.nan_to_num(median_of_seen(error), nan=np.inf)
 
 
 @dataclass(frozen=True)
@@ -224,28 +226,27 @@ class _Fit:
         self.motion, self.unknowns, self.options, self.stills = motion, unknowns, options, stills
         self.seen = motion.positions[:, 2:, motion.predicted]
         self.rollouts = options.rollouts(motion, unknowns.begin)
-        self.coarseness = np.zeros_like(self.seen)  # mm: how far the motion is from that of a fine mesh with small steps
 
     def correct(self, p) -> None:
-        """Estimate the error of the mesh, whose vertices are the markers, and of the steps under p from a mesh and steps half
-        as long: it is of second order in both (Richardson). None where a rod fails on either."""
+        """From now on compare with what is seen plus the simulation's own error under p: of the markers' mesh and of the steps,
+        from what halving both changes (Richardson, second order). None where a rod fails on either."""
         theta = self.unknowns.theta(p)
         (coarse, _), (fine, _) = (rollouts.predicted([theta]) for rollouts in (
             self.rollouts, self.options.rollouts(self.motion, theta, finer=True)))
         apart = (coarse - fine)[:, 0, 2:, self.motion.predicted]
         whole = np.isfinite(apart).all(axis=(1, 2, 3), keepdims=True)
-        self.coarseness = np.where(whole, 4.0 / 3.0 * apart, 0.0)
+        self.seen = self.motion.positions[:, 2:, self.motion.predicted] + np.where(whole, 4.0 / 3.0 * apart, 0.0)
 
     def residuals(self, vectors) -> tuple[np.ndarray, np.ndarray]:
         """((R, G, T − 2, W, 3) mm of the W vertices that are predicted, (R, G, T) status) under each p."""
         positions, status = self.rollouts.predicted([self.unknowns.theta(p) for p in vectors])
-        return positions[:, :, 2:, self.motion.predicted] - (self.seen + self.coarseness)[:, None], status
+        return positions[:, :, 2:, self.motion.predicted] - self.seen[:, None], status
 
     def linearised(self, p):
         """(residuals (R, …) at p, their slopes (R, P, …), status (R, T − 2))."""
         directions = [self.direction(p, k) for k in range(len(p))]
         positions, slopes, status = self.rollouts.differentiated(self.unknowns.theta(p), directions)
-        return positions - (self.seen + self.coarseness), slopes, status
+        return positions - self.seen, slopes, status
 
     @staticmethod
     def variance(residual: np.ndarray, used: np.ndarray) -> float:

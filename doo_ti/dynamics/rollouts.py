@@ -125,12 +125,13 @@ class Rollouts:
         end        what the far gripper holds, if there is one
         smoothing  as of :func:`.lay_out`; None: 1, but among obstacles the frames of :data:`SMOOTHED`: noise of a gripper
                    shakes the rod, which then slips where it would have stuck
-        finer      on a mesh half as long as the edges between markers and, of BDF2, with steps half as long
+        finer      with edges half as long as those between markers and, of BDF2, steps half as long; not among obstacles, where
+                   contacts begin at other instants then
         """
         if smoothing is None:
             smoothing = 2 * int(0.5 * SMOOTHED * motion.rate) + 1 if surroundings else 1
         rods, lengths, marks = motion, theta.rest_length, np.arange(motion.edges + 1)
-        if finer:
+        if finer and not surroundings:
             rods, lengths, marks = motion.refined(lengths)
             stepping = replace(stepping, substeps=stepping.substeps * (2 if stepping.scheme == "bdf2" else 1))
         return cls(motion, lay_out(rods, lengths, theta.reference, end, smoothing), stepping, surroundings, marks)

@@ -128,6 +128,11 @@ class Group:
         return np.cumsum([0] + [rod.edges + 1 for rod in self.rods])
 
     @property
+    def rod_of(self) -> np.ndarray:
+        """(vertices of the group,) the number of each vertex's rod."""
+        return np.repeat(np.arange(len(self.rods)), np.diff(self.first_vertices))
+
+    @property
     def tied(self) -> np.ndarray:
         """(K, 2) the numbers of both vertices of each tie in the group."""
         first = self.first_vertices

@@ -138,8 +138,7 @@ def group_tables(group: Group, up: np.ndarray, obstacles, radius, contact: bool,
 def _hold_spins(group: Group, members: list[Member], free: np.ndarray) -> None:
     """Hold the first spin of round rods that turn about themselves at no cost, in place: of those whose spins are free at both
     ends, and that are not welded to another one."""
-    rod_of = np.repeat(np.arange(len(members)), np.diff(group.first_vertices))
-    welded = {rod_of[edge] for edges in group.welded.values() for edge in edges}
+    welded = {group.rod_of[edge] for edges in group.welded.values() for edge in edges}
     for number, (member, first) in enumerate(zip(members, group.first_vertices[:-1], strict=True)):
         if number not in welded:
             free[:, first, 0] *= 1.0 - member.material[:, of.ROUND] * member.clamp[:, of.SPIN_END]
@@ -147,8 +146,7 @@ def _hold_spins(group: Group, members: list[Member], free: np.ndarray) -> None:
 
 def _check_held(group: Group, members: list[Member]) -> None:
     """Raise InputError where rods with weight, and all that are tied to them, are held nowhere."""
-    rod_of = np.repeat(np.arange(len(members)), np.diff(group.first_vertices))
-    part = connected(len(members), rod_of[group.tied])
+    part = tied_together(group)
     held = np.array([member.held.any(axis=1) for member in members])  # (G, N)
     for rod, member in enumerate(members):
         if (member.weights > 0).any() and not held[part == part[rod]].any(axis=0).all():
@@ -281,9 +279,8 @@ def _stiffness_of_ties(group: Group, members: list[Member], ties: np.ndarray, ta
     missed = start[:, one] - np.where(alone[:, None], targets[..., :3], start[:, other])
     closed = (targets[..., 3] * np.linalg.norm(missed, axis=-1) <= CLOSED * longest[:, None]).all(axis=1, keepdims=True)
     stiffness = group.at_vertices(np.stack([member.stiffness for member in members], axis=1))
-    rod_of = np.repeat(np.arange(len(members)), np.diff(group.first_vertices))
-    part = connected(len(members), rod_of[group.tied])[rod_of]  # of vertices
-    carried = np.stack([pull[:, part == part[vertex]].sum(axis=1) for vertex in one], axis=1)
+    part = tied_together(group)[group.rod_of]
+    carried = pull @ (part[:, None] == part[one])
     by_weight = carried * longest[:, None] ** 2 / (STIFFNESS_OF_TIES * np.where(closed, CLOSED, 1.0))
     return np.maximum(np.minimum(stiffness[:, one], stiffness[:, np.where(alone, one, other)]), by_weight)
 
@@ -300,6 +297,11 @@ def connected(count: int, pairs: np.ndarray) -> np.ndarray:
     return part
 
 
+def tied_together(group: Group) -> np.ndarray:
+    """(G,) of each rod the least number of those that it is tied with, also through others."""
+    return connected(len(group.rods), group.rod_of[group.tied])
+
+
 def edges_apart(group: Group, lengths: np.ndarray, begins: np.ndarray, radii: np.ndarray, touch: bool) -> np.ndarray:
     """(1 or N, pairs) int32: one where two edges may touch. Edges of one rod may with :data:`LEAST_ARC` radii of it between
     them, those of two unless both are within as much, of the mean of their ``radii`` (1 or N, G), of points that are tied to
@@ -311,7 +313,7 @@ def edges_apart(group: Group, lengths: np.ndarray, begins: np.ndarray, radii: np
         return np.zeros((rows, len(late)), dtype=np.int32)
     least = LEAST_ARC * np.broadcast_to(radii, (rows, len(group.rods)))
     arc = np.broadcast_to(np.pad(np.cumsum(lengths, axis=1), ((0, 0), (1, 0))), (rows, edges + 1))
-    rod_of = np.repeat(np.arange(len(group.rods)), np.diff(group.first_vertices))  # of vertices
+    rod_of = group.rod_of
     of_edge = np.where(begins > 0, -1, rod_of[:-1])
     apart = np.where(of_edge[late] == of_edge[early], arc[:, late] - arc[:, early + 1] > least[:, of_edge[late]], True)
     apart &= (of_edge[late] >= 0) & (of_edge[early] >= 0)

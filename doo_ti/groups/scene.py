@@ -15,9 +15,9 @@ from typing import Annotated, Literal
 import numpy as np
 from msgspec import UNSET, Meta, UnsetType
 
+from doo_ti.contact import touch
 from doo_ti.contact.obstacle_file import obstacles_of
 from doo_ti.contact.surroundings import Surroundings
-from doo_ti.contact.touch import LEAST, MOST
 from doo_ti.dynamics.parameters import Dynamics
 from doo_ti.dynamics.scene import InertiaKeys, checked_material, stated_instants
 from doo_ti.groups.group import Group, Tie
@@ -58,9 +58,8 @@ class GroupScene:
     def arguments(self) -> dict:
         """What :func:`.follow_group` takes besides the group and its clamps."""
         inertia = {} if self.dynamics is None else {"dynamics": self.dynamics, "rate": self.rate, "scheme": self.scheme}
-        solver = {} if self.gap_tolerance is None else {
-            "solver": Newton(max_iterations=MOST_IN_CONTACT, gap_tolerance=self.gap_tolerance)}
-        return self.surroundings.arguments | inertia | solver
+        solver = Newton(max_iterations=MOST_IN_CONTACT, gap_tolerance=self.gap_tolerance)
+        return self.surroundings.arguments | inertia | {"solver": solver}
 
 
 class _File(Table):
@@ -72,7 +71,7 @@ class _File(Table):
     duration_s: Positive | None = None
     dynamic: bool = False
     scheme: Literal["bdf2", "euler"] | None = None
-    gap_tolerance: Annotated[float, Meta(ge=LEAST, le=MOST)] | None = None
+    gap_tolerance: Annotated[float, Meta(ge=touch.LEAST, le=touch.MOST)] | None = None
     ties: list = []
     obstacles: list = []
 

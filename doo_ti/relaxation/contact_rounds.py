@@ -203,18 +203,18 @@ class ContactRounds(ContactEnergy):
         become one."""
         zero = 0.0 * gap
         contact = self.contact(self.vertex(rod, index), o)
-        active = contact.kept_between
+        kept = contact.kept_between
         # A larger threshold to begin than to end: with one for both, rounds could take it in and leave it out by turns.
-        least = ti.select(active > 0.5, zero, 0.5 * rod.contacts.tolerance)
+        least = ti.select(kept > 0.5, zero, 0.5 * rod.contacts.tolerance)
         sags = (contact.sagging > least) & (index > 0)
-        lost = due & (active > 0.5) & ~sags
+        lost = due & (kept > 0.5) & ~sags
         if self.some(lost, zero):
             later = contact.place_between > 0.5
             given = ti.select(lost, force, zero)
             add(contact, force=ti.select(later, given, zero))
             add(self.contact(self.vertex(rod, index - 1), o), force=ti.select(later, zero, given))
-        begun = ti.select(sags & (active < 0.5), ti.max(rod.contacts.stiffness * (0.0 - gap), zero), zero)
-        contact.kept_between = ti.select(due, ti.select(sags, zero + 1.0, zero), active)
+        begun = ti.select(sags & (kept < 0.5), ti.max(rod.contacts.stiffness * (0.0 - gap), zero), zero)
+        contact.kept_between = ti.select(due, ti.select(sags, zero + 1.0, zero), kept)
         return ti.select(sags, force, zero), begun
 
     def update_friction(self, rod, index, o, due):
@@ -232,14 +232,14 @@ class ContactRounds(ContactEnergy):
             choose(contact, due & close, rubbed_normal=contact.normal)
         else:
             change = self.keep_friction(contact.of("friction"), repeated(zero, 3), due)
-        active = contact.kept_between > 0.5
-        if index > 0 and self.some(active, zero):
+        kept = contact.kept_between > 0.5
+        if index > 0 and self.some(kept, zero):
             limit, u = self.limit(rod, o, contact.force_between), self.slid_between(rod, index, contact, o)
             stiffness, gradient = rod.contacts.stiffness, contact.rubbed_normal_between
             between = self.rubbed(rod, limit, contact.friction_between, gradient, u, stiffness)
-            pull = chosen(active, between.pull, repeated(zero, 3))
+            pull = chosen(kept, between.pull, repeated(zero, 3))
             change = largest_of(change, self.keep_friction(contact.of("friction_between"), pull, due))
-            choose(contact, due & active, rubbed_normal_between=contact.normal_between, rubbed_place=contact.place_between)
+            choose(contact, due & kept, rubbed_normal_between=contact.normal_between, rubbed_place=contact.place_between)
         else:
             self.keep_friction(contact.of("friction_between"), repeated(zero, 3), due)
         return change

@@ -18,7 +18,15 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from doo_ti.rod.frames import across, bishop_frames, conjugate, quaternion_from_matrix, quaternion_product, unit_direction
+from doo_ti.rod.frames import (
+    across,
+    bishop_frames,
+    conjugate,
+    quaternion_from_matrix,
+    quaternion_product,
+    unit_direction,
+    unit_vectors,
+)
 from doo_ti.rod.material import doubt_length
 from doo_ti.rod.types import LARGEST, Clamp, Clamps, Configuration, unit_up
 from doo_ti.system.arguments import typed
@@ -99,7 +107,7 @@ def with_end_edges(rods: Configuration) -> Configuration:
     outer, inner = frames[:, [0, -1]], frames[:, [1, -2]]
     turn = quaternion_product(outer, conjugate(inner))
     turn = np.where(turn[..., :1] < 0, -turn, turn) + np.array([1.0, 0.0, 0.0, 0.0])  # half of it, once it has length one
-    ends = quaternion_product(turn / np.linalg.norm(turn, axis=-1, keepdims=True), outer)
+    ends = quaternion_product(unit_vectors(turn), outer)
     return Configuration(rods.start, np.concatenate([ends[:, :1], frames, ends[:, 1:]], axis=1),
                          np.concatenate([none, lengths, none], axis=-1))
 
