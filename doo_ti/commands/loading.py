@@ -17,7 +17,7 @@ from doo_ti.io.arrays import checked_arrays, decoded, read_npz
 from doo_ti.io.observation_files import load_observations
 from doo_ti.io.scene import Scene, Synthesis
 from doo_ti.rod.grid import parse_axis
-from doo_ti.rod.material import UNITS_IN_MM, weight_per_length
+from doo_ti.rod.material import NEAR, UNITS_IN_MM, shares_of_rod, weight_per_length
 from doo_ti.rod.observations import Observations
 from doo_ti.rod.start import observation_clamps, reachable
 from doo_ti.rod.types import Clamp, Material, unit_up
@@ -143,10 +143,9 @@ def target(options: Namespace, observations: Observations) -> np.ndarray:
         raise InputError(path, "up", f"{_up_text(arrays['up'])}, but START has {_up_text(observations.up)}",
                          "give both in the same axes")
     places = places if options.unit is None else places * UNITS_IN_MM[options.unit]
-    apart = np.linalg.norm(np.diff(places[0], axis=0), axis=1) / observations.rest_length
-    apart = apart[np.isfinite(apart)]
-    if len(apart) and not 1 / MOST_STRETCH <= np.median(apart) <= MOST_STRETCH:
-        raise InputError(path, "vertices_mm", f"neighbours are {np.median(apart):.3g} times as far apart as along the rod",
+    share, edges = shares_of_rod(places, observations.rest_length)
+    if len(share) and not (1 / MOST_STRETCH if (edges == 1).all() else NEAR) <= np.median(share) <= MOST_STRETCH:
+        raise InputError(path, "vertices_mm", f"they are {np.median(share):.3g} times as far apart as along the rod",
                          "check the unit, as --unit m")
     return places
 

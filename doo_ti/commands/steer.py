@@ -79,11 +79,15 @@ def run_steer(options: Namespace) -> int:
     if not path.reached:
         warn(f"{in_line(options.target)}: the target is not reached; the path ends {path.distance:.3g} mm from it, at the "
              "nearest shape that was found")
-    summary = {"reached": path.reached, "distance_mm": path.distance, "moments": path.moments, "seconds": path.time[-1],
-               "out": str(out)}
+    if not path.mesh_error <= options.reached:
+        warn(f"{in_line(options.start)}: its edges are long for this shape: a finer rod ends about {path.mesh_error:.2g} mm "
+             "elsewhere; give START and TARGET more vertices")
+    summary = {"reached": path.reached, "distance_mm": path.distance, "mesh_error_mm": path.mesh_error,
+               "moments": path.moments, "seconds": path.time[-1], "out": str(out)}
     report(options, summary, lambda: [
         f"{rod.observations.name}: target {'reached' if path.reached else 'not reached'}, {path.distance:.3g} mm from it "
         "(root mean square)", f"  path        {path.moments} moments, certified stable, without a jump",
+        f"  mesh error  {path.mesh_error:.2g} mm: about how far a rod of many edges ends from that",
         loading.rod_line(rod.observations), f"  written to {in_line(out)}"])
     return 0
 
@@ -113,7 +117,7 @@ class SteeredRod:
         start = relax(begin, self.material, self.clamps, up=self.observations.up, **self.surroundings.arguments)
         if not (start.converged & start.stable).all():
             raise InputError(self.source, "vertices_mm", "observation 0 has no stable equilibrium",
-                             "give a rod that is held within its length")
+                             "give a rod that is held within its length" + ", outside the obstacles" * bool(self.surroundings))
         return start, end_clamps(start.configuration, Clamp.FRAME, Clamp.FRAME)
 
 

@@ -254,6 +254,8 @@ class Belief:
         misfit = np.sqrt(self._square)
         excess = np.maximum(misfit / (MISFIT * self._options.noise_mm), 1.0)
         spread = excess * np.sqrt([covariance[:, 0, 0], covariance.sum(axis=(1, 2)), covariance[:, 1, 1]])
+        prior = [self._spread[BEND], np.hypot(*self._spread[:CLIP]), self._spread[RATIO]]
+        spread = np.minimum(spread, MOST_DEVIATIONS / QUANTILE * np.array(prior)[:, None])
         intervals = [one[:, None] * np.exp(QUANTILE * deviation[:, None] * [-1.0, 1.0])
                      for one, deviation in zip(value, spread, strict=True)]
         return LearnedMaterial(self.material, *value, *intervals, np.where(self._taught, misfit, np.nan))

@@ -39,7 +39,8 @@ class DampedSteps:
     @cached_property
     def _axes(self) -> tuple[np.ndarray, np.ndarray]:
         """(B, K) eigenvalues of JᵀJ, and (B, K, K) their vectors."""
-        return np.linalg.eigh(self.normal)
+        values, axes = np.linalg.eigh(self.normal)
+        return np.maximum(values, 0.0), axes  # beside a very large one, as of a rod at a fold, others are its rounding
 
     def below(self, length: np.ndarray, across: np.ndarray, room: np.ndarray) -> np.ndarray:
         """(B, K) the steps of at most ``length`` (B,), zero where that is, whose product with ``across`` a (B, K) is at most

@@ -79,8 +79,10 @@ SNAPPED, SNAPPED_SHARE = 5.0, 0.02
 AIMS, NEARER = 3, 0.5
 """How often a rod that comes no nearer is given a goal to go to, and the share of its distance that the goal must be within."""
 CONFIRMED, BLIND = 3.0, 10
-"""How much farther than ``reached_mm`` marks may be from the target of a rod that is there, over their noise; and the steps
-after which a rod of which nothing is seen is lost."""
+"""How much farther than ``reached_mm`` marks may be from the target of a rod that is there, over their noise; and steps without
+marks after which a rod is lost or, without marks of what is asked, not there."""
+STRANGE, MOMENTS = 0.05, 5
+"""No model explains a rod of which half the marks are by so much of its length off what is learned, so often in a row."""
 LITTLE = 0.005
 """Of the distance to the target or, if that is less, of the longest step, what a step must gain at least, or the rod is as near
 as it comes; and of the longest step, by how much it must bring grippers nearer to the poses that they go to."""
@@ -119,8 +121,7 @@ class Servo:
         self._padded = options.compliance > 0 and self._edge > 0
         rod = with_end_edges(rod) if self._padded else rod
         targets = targets.take(rows) if targets.count < count else targets
-        weight = None if targets.weight is None else np.pad(targets.weight, ((0, 0), (1, 1)))
-        self._targets = Targets(padded(targets.vertices), weight) if self._padded else targets
+        self._targets = targets.padded() if self._padded else targets
         material = material.take(rows) if material.count < count else material
         self._belief = Belief(material, rod.rest_length, options, CENTRE if self._padded else 0.0)
         self.clamps = clamps
@@ -135,8 +136,9 @@ class Servo:
         # Where the rods began to go to a goal, and how near they were; those that go back there.
         self._left, self._left_distance, self._returning = clamps, np.zeros(count), np.zeros(count, dtype=bool)
         self.distance = self._targets.distance(self._shapes)
-        # mm from the target by the marks alone, infinite where none shows it; steps since anything was seen.
-        self._seen_distance, self._blind = np.full(count, np.inf), np.zeros(count, dtype=np.int64)
+        self._seen_distance = np.full(count, np.inf)  # mm from the target by the marks alone, infinite where none shows it
+        # Moments since anything, and since anything that is asked, was seen; and in a row of which no model explains the marks.
+        self._blind, self._unseen, self._strange = np.zeros(count, int), np.full(count, BLIND), np.zeros(count, int)
 
     def __repr__(self) -> str:
         counts = [f"{number} {ServoStatus(kind).name.lower()}"
@@ -167,13 +169,14 @@ class Servo:
         if seen.shape != wanted or np.isinf(seen).any():
             raise InputError("Servo.step", "seen", f"shape {seen.shape}, or infinite", f"give {wanted} mm, or NaN")
         if not np.isfinite(self._belief.expected).any():  # the first moment
-            doubt_marks("Servo.step", "seen", seen, float(self._last.rest_length.max()))
+            doubt_marks("Servo.step", "seen", seen, self._last.rest_length[self._padded : wanted[1] - 1 + self._padded])
         seen = padded(seen) if self._padded else seen
         visible = np.isfinite(seen).all(axis=-1)
         shown = (self._targets.shares * visible).sum(axis=1)  # of what the target asks
         by_marks = self._targets.distance(np.where(visible[..., None], seen, self._targets.places))
         self._seen_distance = np.where(shown > 0, by_marks / np.sqrt(np.where(shown > 0, shown, 1.0)), np.inf)
         self._blind = np.where(visible.any(axis=1), 0, self._blind + 1)
+        self._unseen = np.where(shown > 0, 0, self._unseen + 1)
         self._follow_snaps(seen, visible)
         rests, modes = self._relaxed(np.arange(len(visible))), self._belief.modes if self._belief.uneven else None
         found = sensitivity(rests, PARAMETERS + ("modes",) * self._belief.uneven, modes, rotations=False, loads=False)
@@ -188,6 +191,10 @@ class Servo:
         change = self._belief.learn(seen - model, visible, derivatives, transform, touching)
         columns = derivatives.reshape(len(usable), -1, derivatives.shape[-1])
         expected = model + (columns @ change[..., None]).reshape(model.shape)
+        apart = np.linalg.norm(np.where(visible[..., None], seen - expected, np.inf), axis=-1)
+        half = np.take_along_axis(np.sort(apart, axis=1), visible.sum(axis=1, keepdims=True) // 2, axis=1)[:, 0]
+        strange = (half > STRANGE * self._last.rest_length.sum()) & visible.any(axis=1)
+        self._strange = (self._strange + 1) * strange
         left = (1 - GAIN) * self._offset + GAIN * between_marks(seen - expected, visible)
         self._offset = np.where(visible.any(axis=1)[:, None, None], left, self._offset)
         steps = steps_towards(self._targets, expected + self._offset, derivatives[..., OF_GRIPPERS], self._options)
@@ -210,11 +217,10 @@ class Servo:
         left = np.where(visible[rods][..., None], seen[rods] - found.configuration.vertices, 0.0)
         better = sound & (lost[rods] | (size_of(left, visible[rods]) < 0.5 * error[rods]))
         rods = rods[better]
-        if len(rods):
-            self._offset[rods] = 0.0
-            self._belief.forget(rods)
-            self.snaps[rods] += 1
-            self._put(rods, found.configuration.take(np.flatnonzero(better)))
+        self._offset[rods] = 0.0
+        self._belief.forget(rods)
+        self.snaps[rods] += 1
+        self._put(rods, found.configuration.take(np.flatnonzero(better)))
 
     def _put(self, rods: np.ndarray, models: Configuration, shapes: np.ndarray | None = None) -> None:
         """Take ``models`` with the vertices ``shapes`` for where the ``rods`` are."""
@@ -228,7 +234,7 @@ class Servo:
         here, self.distance = self._targets.distance(expected + self._offset), self.distance.copy()
         waiting = np.arange(len(usable))
         refused, gain = np.zeros(len(usable), dtype=bool), np.zeros(len(usable))
-        longest = np.where(usable, self._length, 0.0)
+        longest = np.where(usable & (self._strange < MOMENTS), self._length, 0.0)
         length, stiff = self._last.rest_length.sum(), self._belief.held(self._edge)
         loose = self._slack(start, np.arange(len(usable)))
         least, moves = np.minimum(loose, self._least_slack()), self._options.moves
@@ -240,19 +246,15 @@ class Servo:
             step = np.where(self._aiming[:, None], shortened(to_aim, most), steps.below(most, tighter, room))[waiting]
             origin = start.take(waiting)
             there = boxed(moved(origin, step / self._options.scale), origin, boxes)
-            if boxes != (None, None):
-                step[:, :3] = there.start_position - origin.start_position
-                step[:, 6:9] = there.end_position - origin.end_position
+            step[:, :3] = there.start_position - origin.start_position
+            step[:, 6:9] = there.end_position - origin.end_position
             tight = np.maximum(least[waiting] - self._slack(there, waiting), 0.0)
             # Drawn in, a gripper may leave its box again.
             there = boxed(drawn_in(there, tight, stiff[waiting], moves), origin, boxes)
             self.clamps = put_rows(self.clamps, waiting, there)
             model = self._relaxed(waiting)
-            every = len(waiting) == len(usable)
-            by_step, targets = (columns, self._targets) if every else (columns[waiting], self._targets.take(waiting))
-            change = np.zeros((len(waiting), by_step.shape[2]))
-            change[:, OF_GRIPPERS] = step * moves / self._options.scale
-            linear = (by_step @ change[..., None]).reshape(len(waiting), -1, 3)
+            targets, change = self._targets.take(waiting), step * moves / self._options.scale
+            linear = (columns[waiting, :, OF_GRIPPERS] @ change[..., None]).reshape(len(waiting), -1, 3)
             shapes = model.configuration.vertices
             off = size_of(shapes - expected[waiting] - linear)
             distance = targets.distance(shapes + self._offset[waiting])
@@ -275,8 +277,7 @@ class Servo:
                 break
             self._length[waiting] = np.maximum(longest[waiting], 0.5)
         self._sound = ~np.isin(np.arange(len(usable)), waiting)
-        if len(waiting):
-            self.clamps = put_rows(self.clamps, waiting, start.take(waiting))
+        self.clamps = put_rows(self.clamps, waiting, start.take(waiting))
         self._judge(gain, refused)
         self._end_aims(np.linalg.norm(to_aim, axis=1))
         self._aim()
@@ -298,18 +299,19 @@ class Servo:
 
     def _judge(self, gain: np.ndarray, refused: np.ndarray) -> None:
         """Set the statuses after a step that has brought the models nearer by ``gain`` (B,) mm, or was ``refused`` (B,)."""
-        stuck = gain < LITTLE * np.minimum(self.distance, self._options.step_mm)
+        there, unseen = self.distance <= self._options.reached_mm, self._unseen >= BLIND
+        stuck = (gain < LITTLE * np.minimum(self.distance, self._options.step_mm)) | (there & unseen)
         status = np.where(stuck, np.where(refused, ServoStatus.BLOCKED, ServoStatus.NEAREST), ServoStatus.MOVING)
         near = self._seen_distance <= self._options.reached_mm + CONFIRMED * self._options.noise_mm
-        reached = (self.distance <= self._options.reached_mm) & (near | (np.isinf(self._seen_distance) & (self._blind < BLIND)))
-        self.status = np.where(self._sound & (self._blind < BLIND), np.where(reached, ServoStatus.REACHED, status),
-                               ServoStatus.LOST)
+        near |= np.isinf(self._seen_distance) & ~unseen
+        known = self._sound & (self._blind < BLIND) & (self._strange < MOMENTS)
+        self.status = np.where(known, np.where(there & near, ServoStatus.REACHED, status), ServoStatus.LOST)
 
     def _aim(self) -> None:
         """Give rods that come no nearer to their targets a goal that is, where there is one. On the way to it the distance may
         grow."""
         stuck = np.isin(self.status, (ServoStatus.NEAREST, ServoStatus.BLOCKED)) & ~self._aiming & (self._aimed < AIMS)
-        rods = np.flatnonzero(stuck)
+        rods = np.flatnonzero(stuck & (self.distance > self._options.reached_mm))
         if not len(rods):
             return
         self._aimed[rods] += 1
@@ -326,10 +328,8 @@ class Servo:
 
     def _to_aims(self) -> np.ndarray:
         """(B, 12) mm, what is left of the grippers' way to their goal; zero for rods without one."""
-        rods, way = np.flatnonzero(self._aiming), np.zeros((len(self.status), 12))
-        if len(rods):
-            way[rods] = change_between(self.clamps.take(rods), self._aims.take(rods)) * self._options.scale
-        return way
+        way = change_between(self.clamps, self._aims) * self._options.scale
+        return np.where(self._aiming[:, None], way, 0.0)
 
     def _slack(self, clamps: Clamps, rods: np.ndarray) -> np.ndarray:
         """(n,) mm of slack of those ``rods`` between grippers at ``clamps`` (n), where the clips are estimated to be."""

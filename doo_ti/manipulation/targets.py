@@ -18,6 +18,7 @@ from doo_ti.manipulation.model import (
     Model,
     drawn_in,
     moved,
+    padded,
     put_rows,
     slack,
     slack_gradient,
@@ -91,6 +92,10 @@ class Targets:
         """The targets of the rods named by ``index``."""
         return Targets(self.vertices[index], None if self.weight is None else self.weight[index])
 
+    def padded(self) -> "Targets":
+        """The same for rods with one more edge at each end, of whose ends nothing is asked."""
+        return Targets(padded(self.vertices), None if self.weight is None else np.pad(self.weight, ((0, 0), (1, 1))))
+
     def distance(self, vertices: np.ndarray) -> np.ndarray:
         """(B,) mm, the weighted root mean square distance of ``vertices`` (B, V, 3) to their places."""
         apart = self.places - vertices
@@ -102,8 +107,9 @@ class ServoStatus(IntEnum):
     """Where a rod stands after a step.
 
     MOVING     on its way
-    REACHED    within ``reached_mm`` of its target, by the estimate and, but for noise, by the marks
-    NEAREST    no motion of the grippers brings it nearer: the target is out of reach, or on another branch
+    REACHED    within ``reached_mm`` of its target, by the estimate and, but for noise, by marks of what the target asks
+    NEAREST    no motion of the grippers brings it nearer: the target is out of reach, or on another branch; or it is there by
+               the estimate, but no mark has shown what the target asks for ten steps
     BLOCKED    every motion that would bring it nearer makes the model unstable or snap
     LOST       no stable model explains what is seen, and the grippers rest; or nothing was seen in ten steps
     """
@@ -203,7 +209,7 @@ def require_matching(rod: Configuration, material: Material, clamps: Clamps, tar
     if apart > length:
         raise InputError("Servo", "clamps", f"{apart:.4g} mm apart, and the rod {length:.4g} mm long",
                          "bring them within its reach")
-    doubt_marks("Targets", "vertices", targets.vertices, float(rod.rest_length.max()))
+    doubt_marks("Targets", "vertices", targets.vertices, rod.rest_length)
     if not replace(material, rest_curvature=None).is_isotropic:
         raise InputError("Servo", "material", "not round, or not the same all along the rod", "give Material(bend, twist)")
 

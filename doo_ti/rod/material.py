@@ -250,7 +250,8 @@ MOST_STIFF = 3e6
 """4 π EI over the square of the mass per length, E/ρ² of a solid round rod in SI: 3e3 of steel, 1.5e5 of carbon fibre, and of a
 tube of it with walls of a tenth of its radius ten times as much."""
 LEAST_SLENDER, MOST_SLENDER = 3.0, 1500.0  # length over the diameter of a solid rod as dense as water
-NEAR = 0.02  # distance of neighbouring marks over the rod between them, below which they are hardly in mm
+NEAR = 0.15  # distance of marks that follow each other over the rod between them, below which they are hardly in mm
+FOLLOWING = 0.25  # of a rod: marks farther apart along it may be near each other
 LEAST_IN_DEGREES = 10.0  # of an angle's number, from which on a whole one is more likely in degrees
 _OURS = str(Path(__file__).parents[1]), "<string>"
 """What names of source files begin with; the second one is of constructors that dataclass makes."""
@@ -272,13 +273,25 @@ def doubt_length(source: str, length: ArrayLike) -> None:
             return _warn(source, "length", f"a rod {value:.4g} mm long", remedy)
 
 
-def doubt_marks(source: str, field: str, marks: np.ndarray, edge: float) -> None:
-    """Warn of ``marks`` (R, V, 3) in mm, NaN where not seen, of rods with edges of length ``edge``, that are all far nearer to
-    each other than along the rod: in another unit."""
-    apart = np.linalg.norm(np.diff(marks, axis=1), axis=-1) / edge
-    if np.isfinite(apart).any() and np.nanmax(apart) < NEAR:
-        _warn(source, field, f"marks are {np.nanmax(apart) * edge:.3g} mm apart at most on a rod with edges of {edge:.3g} mm",
+def doubt_marks(source: str, field: str, marks: np.ndarray, rest_length: np.ndarray) -> None:
+    """Warn of ``marks`` (R, V, 3) in mm, NaN where not seen, of rods with those edges (E,), that are all far nearer to each
+    other than along the rod: in another unit."""
+    share, _ = shares_of_rod(marks, rest_length)
+    if len(share) and share.max() < NEAR:
+        _warn(source, field, f"marks are {share.max():.2g} times as far apart as along a rod of {rest_length.sum():.4g} mm",
               "give mm")
+
+
+def shares_of_rod(marks: np.ndarray, rest_length: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(n,) distances of ``marks`` (R, V, 3) that follow each other on the same rod, without those that are NaN, over the length
+    of rod between them, of edges ``rest_length`` (E,); and (n,) between how many edges. Marks that are FOLLOWING of the rod
+    apart or more do not count."""
+    rod, vertex = np.nonzero(np.isfinite(marks).all(axis=-1))
+    place = np.concatenate([[0.0], np.cumsum(rest_length)])
+    along, edges = np.diff(place[vertex]), np.diff(vertex)
+    counts = (np.diff(rod) == 0) & (along > 0) & ((edges == 1) | (along < FOLLOWING * place[-1]))
+    apart = np.linalg.norm(np.diff(marks[rod, vertex], axis=0), axis=-1)
+    return apart[counts] / along[counts], edges[counts]
 
 
 def doubt_angle(source: str, field: str, angle: ArrayLike | None) -> None:

@@ -24,6 +24,7 @@ from doo_ti.rod.frames import (
     conjugate,
     quaternion_from_matrix,
     quaternion_product,
+    tangent_from_quaternion,
     unit_direction,
     unit_vectors,
 )
@@ -110,6 +111,26 @@ def with_end_edges(rods: Configuration) -> Configuration:
     ends = quaternion_product(unit_vectors(turn), outer)
     return Configuration(rods.start, np.concatenate([ends[:, :1], frames, ends[:, 1:]], axis=1),
                          np.concatenate([none, lengths, none], axis=-1))
+
+
+def with_half_edges(rods: Configuration) -> Configuration:
+    """The rods, of rest lengths (E,), with edges half as long, from a quarter of the first edge to a quarter of the last one:
+    held by their outer edges they begin to bend where ``rods`` do."""
+    frames, lengths = rods.quaternions, rods.rest_length
+    after = np.where(np.sum(frames[:, :-1] * frames[:, 1:], axis=-1, keepdims=True) < 0, -frames[:, 1:], frames[:, 1:])
+    fine, halves = np.empty((rods.count, 2 * rods.edges - 1, 4)), np.empty(2 * rods.edges - 1)
+    fine[:, ::2], fine[:, 1::2] = frames, unit_vectors(frames[:, :-1] + after)
+    halves[::2], halves[1::2] = lengths / 2, (lengths[:-1] + lengths[1:]) / 4
+    return Configuration(rods.start + lengths[0] / 4 * tangent_from_quaternion(frames[:, 0]), fine, halves)
+
+
+def vertices_before_halving(fine: Configuration, lengths: np.ndarray) -> np.ndarray:
+    """(R, E + 1, 3) where the vertices of rods with rest ``lengths`` (E,) are on those :func:`with_half_edges`: to third order
+    beside the middles of every other edge."""
+    x, t = fine.vertices, tangent_from_quaternion(fine.quaternions)
+    share = (lengths[:-1] / (lengths[:-1] + lengths[1:]))[:, None]
+    inner = x[:, 1:-1:2] + share * (x[:, 2::2] - x[:, 1:-1:2]) - fine.rest_length[1::2, None] / 16 * (t[:, 2::2] - t[:, :-1:2])
+    return np.concatenate([x[:, :1] - lengths[0] / 4 * t[:, :1], inner, x[:, -1:] + lengths[-1] / 4 * t[:, -1:]], axis=1)
 
 
 def material_curvature(rods: Configuration) -> np.ndarray:
