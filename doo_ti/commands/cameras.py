@@ -14,7 +14,7 @@ from doo_ti.rod.material import UNITS_IN_MM
 from doo_ti.rod.observations import Observations
 from doo_ti.system.arguments import counted
 from doo_ti.system.errors import InputError
-from doo_ti.system.terminal import in_line, progress
+from doo_ti.system.terminal import in_line, progress, warn
 from doo_ti.vision.board import FORMS, Views, find_sightings, parse_board, read_views
 from doo_ti.vision.calibration import COEFFICIENTS, WORLDS, Calibration, calibrate
 from doo_ti.vision.cameras import Rig
@@ -67,8 +67,27 @@ def run_calibrate(options: Namespace) -> int:
     save_rig(options.out, Rig(tuple(replace(camera, turned=turned) for camera in calibration.rig.cameras)))
     summary = _calibration_summary(views, calibration, options.out)
     summary["orientation"] = image_options.orientation_note(views.images.values(), turned)
+    _doubt_calibration(views, calibration)
     report(options, summary, lambda: _calibration_lines(views, calibration, summary))
     return 0
+
+
+FAR_OFF, LEAST_OFF_PX = 3.0, 0.2  # error of an image over the median of all, and px, from which on it is doubtful
+SQUARE = 5e-3  # share by which the pixels of cameras differ from squares, at most
+
+
+def _doubt_calibration(views: Views, calibration: Calibration) -> None:
+    """Warn of images that fit far worse than the others, and of pixels that are no squares."""
+    limit = max(FAR_OFF * np.nanmedian(calibration.rms), LEAST_OFF_PX)
+    for view in np.flatnonzero((calibration.rms > limit).any(axis=1)):
+        warn(f"{in_line(views.source)}: view {in_line(views.names[view])}: {np.nanmax(calibration.rms[view]):.2g} px off, the "
+             f"median image {np.nanmedian(calibration.rms):.2g}: blurred, or the board moved between cameras; leave it out")
+    for camera, sigma in zip(calibration.rig.cameras, calibration.focal_sigma, strict=True):
+        across, down = camera.matrix[[0, 1], [0, 1]]
+        if abs(across - down) > SQUARE * down + FAR_OFF * np.hypot(*sigma):
+            warn(f"{in_line(views.source)}: {in_line(camera.name)}: focal lengths across and down differ by "
+                 f"{100 * abs(across / down - 1):.1f} %, those of cameras hardly do: measure the board's squares both ways; "
+                 "leave out views in which it moved between cameras")
 
 
 def _calibration_summary(views: Views, calibration: Calibration, out: Path) -> dict:

@@ -4,14 +4,16 @@ read."""
 import json
 import re
 from dataclasses import replace
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
 import pytest
 
 from doo_ti import Clamp, Rig, load_observations, observation_clamps, start_configuration
+from doo_ti.commands import cameras
 from doo_ti.commands.cli import main
-from doo_ti.vision.board import Board
+from doo_ti.vision.board import Board, Views
 from doo_ti.vision.rig_files import load_rig, save_rig
 from tests.commands.calls import refused, succeeded
 from tests.conftest import SEED
@@ -58,6 +60,24 @@ def test_a_rig_from_images(pictures, tmp_path, capsys):
     cameras = json.loads(succeeded(capsys, [*argv, "--json", "--world", "camera", "--distortion", "2"]))["cameras"]
     assert cameras[0]["centre_mm"] == [0, 0, 0] and cameras[0]["centre_sigma_mm"] == [0, 0, 0]
     assert cameras[1]["distortion"][2:] == [0, 0, 0] and min(cameras[2]["centre_sigma_mm"]) > 0
+
+
+def test_pixels_that_are_no_squares_are_said(pictures, tmp_path, capsys):
+    """Images that are 2 % taller, as of a board that was printed so."""
+    for path in pictures.glob("*.png"):
+        image = cv2.imread(str(path))
+        cv2.imwrite(str(tmp_path / path.name), cv2.resize(image, (640, 490), interpolation=cv2.INTER_AREA))
+    (tmp_path / "views.csv").write_bytes((pictures / "views.csv").read_bytes())
+    assert main(["calibrate", str(tmp_path / "views.csv"), "--board", TEXT, "--out", str(tmp_path / "rig.yaml")]) == 0
+    assert capsys.readouterr().err.count("measure the board's squares both ways") == 3
+
+
+def test_an_image_that_fits_far_worse_is_named(capsys):
+    rms = np.array([[0.1, 0.12], [0.1, 0.9], [0.11, np.nan]])
+    views = Views(("a", "b", "c"), ("cam0", "cam1"), {}, "views.csv")
+    cameras._doubt_calibration(views, SimpleNamespace(rms=rms, rig=RIG, focal_sigma=np.zeros((3, 2))))
+    said = capsys.readouterr().err
+    assert "view b: 0.9 px off, the median image 0.11" in said and said.count("view ") == 1
 
 
 TABLES = {
