@@ -26,10 +26,8 @@ from doo_ti.manipulation.equilibria import CLEAR, Clearance, Equilibria, Shapes,
 from doo_ti.manipulation.model import Model, change_between
 from doo_ti.manipulation.targets import ServoOptions, Targets, fitted_guesses, require_free
 from doo_ti.motion.predict import predict
-from doo_ti.relaxation.newton import Newton
-from doo_ti.relaxation.relax import relax
+from doo_ti.relaxation.relax import mesh_change
 from doo_ti.rod.material import Material, doubt_marks
-from doo_ti.rod.shapes import vertices_before_halving, with_half_edges
 from doo_ti.rod.types import POSES, Clamp, Clamps, Configuration, unit_up
 from doo_ti.system.arguments import owning, typed
 from doo_ti.system.errors import InputError, require_whole
@@ -269,19 +267,11 @@ class _Planner:
             name: values[rows] for name, values in arrays.items()}, reached=distance <= self._options.reached_mm), reached + 1
 
     def _mesh_error(self, rod: Configuration, clamps: Clamps, touches: bool) -> float:
-        """mm from the rod to one of many edges under the same grippers, root mean square as the target weights its vertices.
-        The error of a mesh falls as the square of its edges (Richardson)."""
-        material, space, around = self._space.material, self._space, self._space.clearance.surroundings.arguments
-        if material.rest_curvature is not None and material.rest_curvature.shape[1] > 1:
-            material = replace(material, rest_curvature=np.repeat(material.rest_curvature, 2, axis=1))
-        fine, first, last = with_half_edges(rod), rod.rest_length[0] / 4, rod.rest_length[-1] / 4
-        held = replace(clamps, start_position=clamps.start_position + first * clamps.start_frame[..., 0],
-                       end_position=clamps.end_position - last * clamps.end_frame[..., 0])
-        found = relax(fine, material, held, Newton.careful(), up=space.up, **around if touches else {})
-        if not (found.converged & found.stable).all():
-            return np.inf
-        places = vertices_before_halving(found.configuration, rod.rest_length)
-        return float(4 / 3 * Targets(places, self._targets.shares).distance(rod.vertices)[0])
+        """:attr:`.ManipulationPath.mesh_error`."""
+        around = self._space.clearance.surroundings if touches else Surroundings()
+        change = mesh_change(rod, self._space.material, clamps, self._space.up, around)[0]
+        error = np.sqrt(self._targets.shares[0] @ np.sum(change**2, axis=-1))
+        return float(error) if np.isfinite(error) else np.inf
 
     def _clear(self, vertices: np.ndarray) -> np.ndarray:
         """(T − 1,) bool: whether a rod of vertices (T, V, 3) touches nothing until each moment, from the one before."""

@@ -30,7 +30,6 @@ from doo_ti.perception.perceive import (
 from doo_ti.perception.search import Hypotheses, PerceptionOptions, Search, explained
 from doo_ti.rod.frames import (
     bishop_frames,
-    conjugate,
     quaternion_from_matrix,
     quaternion_product,
     smallest_rotation,
@@ -154,7 +153,6 @@ class Tracker:
         self._surroundings = surroundings
         self._last: Perception | None = None  # of one rod, in the cameras that saw a thread
         self._usual = np.inf  # px, mean over the cameras: the least since the last run of Algorithm 1
-        self._turn: np.ndarray | None = None  # (E, 4) of each edge, from the frame before the last one to the last one
 
     @typed
     def see(self, detected: list[Detection], point: ArrayLike, direction: ArrayLike, far: Motion | None = None,
@@ -183,11 +181,7 @@ class Tracker:
                 rod, how = seeded, How.SEEDED
         if not self._sound(rod):
             return self._lost(rod)
-        turn = None
-        if how == How.TRACKED:  # the difference to a rod found by Algorithm 1 is no motion
-            now, before = (self._whole(one) for one in (rod, self._last))
-            turn = quaternion_product(now.quaternions[0], conjugate(before.quaternions[0]))
-        self._turn, self._last, self._usual = turn, rod, min(self._usual, rod.camera_error[0].mean())
+        self._last, self._usual = rod, min(self._usual, rod.camera_error[0].mean())
         return self._frame(rod, how, search)
 
     @typed
@@ -226,13 +220,11 @@ class Tracker:
         return replace(found, configuration=alone.configuration)
 
     def _starts(self, search: Search, far: Motion | None) -> np.ndarray:
-        """(K, E, 4): the last rod unchanged, rotated with the seed, rotated as in the step before, and carried by the far
-        clamp. The first edge of each is then held at the seed."""
+        """(K, E, 4): the last rod unchanged, rotated with the seed, and carried by the far clamp. Each first edge is then
+        held at the seed."""
         last = self._whole(self._last)
         edges = last.quaternions[0]
         starts = [edges, _aimed(edges, search.direction)]
-        if self._turn is not None:
-            starts.append(_aimed(quaternion_product(self._turn, edges), search.direction))
         if far is not None:
             starts.append(self._carried(last, search, far))
         return np.stack([start for start in starts if np.isfinite(start).all()])
@@ -269,7 +261,7 @@ class Tracker:
 
     def _lost(self, found: Perception | None = None) -> TrackedFrame:
         """The rod is lost: the next frame begins with Algorithm 1. ``found``: what it found here, which is not the rod."""
-        self._last = self._turn = None
+        self._last = None
         vertices, doubts = np.full((len(self._rest_length) + 1, 3), np.nan), () if found is None else _doubts(found)
         return TrackedFrame(vertices, vertices[:, 0], np.nan, np.full(len(self._rig.cameras), np.nan), Status.NOT_FINITE,
                             False, How.LOST, PerceptionVerdict.NOT_FOUND, doubts)

@@ -113,24 +113,30 @@ def with_end_edges(rods: Configuration) -> Configuration:
                          np.concatenate([none, lengths, none], axis=-1))
 
 
-def with_half_edges(rods: Configuration) -> Configuration:
+def with_half_edges(rods: Configuration, held: tuple[bool, bool] = (True, True)) -> Configuration:
     """The rods, of rest lengths (E,), with edges half as long, from a quarter of the first edge to a quarter of the last one:
-    held by their outer edges they begin to bend where ``rods`` do."""
+    held by their outer edges they begin to bend where ``rods`` do. At an end that is not ``held`` so the quarter is an edge."""
     frames, lengths = rods.quaternions, rods.rest_length
     after = np.where(np.sum(frames[:, :-1] * frames[:, 1:], axis=-1, keepdims=True) < 0, -frames[:, 1:], frames[:, 1:])
     fine, halves = np.empty((rods.count, 2 * rods.edges - 1, 4)), np.empty(2 * rods.edges - 1)
     fine[:, ::2], fine[:, 1::2] = frames, unit_vectors(frames[:, :-1] + after)
     halves[::2], halves[1::2] = lengths / 2, (lengths[:-1] + lengths[1:]) / 4
-    return Configuration(rods.start + lengths[0] / 4 * tangent_from_quaternion(frames[:, 0]), fine, halves)
+    more = (int(not held[0]), int(not held[1]))
+    start = rods.start + held[0] * lengths[0] / 4 * tangent_from_quaternion(frames[:, 0])
+    halves = np.concatenate([lengths[:1] / 4, halves, lengths[-1:] / 4])[1 - more[0] : len(halves) + 1 + more[1]]
+    return Configuration(start, np.pad(fine, ((0, 0), more, (0, 0)), mode="edge"), halves)
 
 
-def vertices_before_halving(fine: Configuration, lengths: np.ndarray) -> np.ndarray:
+def vertices_before_halving(fine: Configuration, lengths: np.ndarray, held: tuple[bool, bool] = (True, True)) -> np.ndarray:
     """(R, E + 1, 3) where the vertices of rods with rest ``lengths`` (E,) are on those :func:`with_half_edges`: to third order
     beside the middles of every other edge."""
-    x, t = fine.vertices, tangent_from_quaternion(fine.quaternions)
-    share = (lengths[:-1] / (lengths[:-1] + lengths[1:]))[:, None]
-    inner = x[:, 1:-1:2] + share * (x[:, 2::2] - x[:, 1:-1:2]) - fine.rest_length[1::2, None] / 16 * (t[:, 2::2] - t[:, :-1:2])
-    return np.concatenate([x[:, :1] - lengths[0] / 4 * t[:, :1], inner, x[:, -1:] + lengths[-1] / 4 * t[:, -1:]], axis=1)
+    first, last = int(not held[0]), fine.edges - int(not held[1])
+    x, t = fine.vertices[:, first : last + 1], tangent_from_quaternion(fine.quaternions[:, first:last])
+    share, halves = (lengths[:-1] / (lengths[:-1] + lengths[1:]))[:, None], fine.rest_length[first:last][1::2, None]
+    inner = x[:, 1:-1:2] + share * (x[:, 2::2] - x[:, 1:-1:2]) - halves / 16 * (t[:, 2::2] - t[:, :-1:2])
+    start = x[:, :1] - lengths[0] / 4 * t[:, :1] if held[0] else fine.vertices[:, :1]
+    end = x[:, -1:] + lengths[-1] / 4 * t[:, -1:] if held[1] else fine.vertices[:, -1:]
+    return np.concatenate([start, inner, end], axis=1)
 
 
 def material_curvature(rods: Configuration) -> np.ndarray:
