@@ -73,15 +73,28 @@ def run_calibrate(options: Namespace) -> int:
 
 
 FAR_OFF, LEAST_OFF_PX = 3.0, 0.2  # error of an image over the median of all, and px, from which on it is doubtful
+APART, LEAST_APART_PX = 1.5, 0.1  # error of all cameras together over that of each alone, and px, from which on they disagree
+LEAST_APART_MM = 0.1  # between two cameras
 SQUARE = 5e-3  # share by which the pixels of cameras differ from squares, at most
 
 
 def _doubt_calibration(views: Views, calibration: Calibration) -> None:
-    """Warn of images that fit far worse than the others, and of pixels that are no squares."""
+    """Warn of images that fit far worse than the others, of cameras that agree less about the board than each with itself, or
+    are at the same place, and of pixels that are no squares."""
     limit = max(FAR_OFF * np.nanmedian(calibration.rms), LEAST_OFF_PX)
     for view in np.flatnonzero((calibration.rms > limit).any(axis=1)):
         warn(f"{in_line(views.source)}: view {in_line(views.names[view])}: {np.nanmax(calibration.rms[view]):.2g} px off, the "
              f"median image {np.nanmedian(calibration.rms):.2g}: blurred, or the board moved between cameras; leave it out")
+    alone = float(np.sqrt(np.mean(calibration.alone**2)))
+    if calibration.overall_rms > max(APART * alone, LEAST_APART_PX):
+        warn(f"{in_line(views.source)}: corners are {calibration.overall_rms:.2g} px off, of a camera alone {alone:.2g} px: "
+             "the board moved between cameras, is stretched, or an image is of another view")
+    centres = np.array([camera.centre for camera in calibration.rig.cameras])
+    for one, other in zip(*np.triu_indices(len(centres), 1), strict=True):
+        apart, sigma = np.linalg.norm(centres[one] - centres[other]), np.linalg.norm(calibration.centre_sigma[[one, other]])
+        if apart < FAR_OFF * sigma + LEAST_APART_MM:
+            warn(f"{in_line(views.source)}: {' and '.join(in_line(views.cameras[k]) for k in (one, other))} are {apart:.2g} mm "
+                 "apart: are their images the same?")
     for camera, sigma in zip(calibration.rig.cameras, calibration.focal_sigma, strict=True):
         across, down = camera.matrix[[0, 1], [0, 1]]
         if abs(across - down) > SQUARE * down + FAR_OFF * np.hypot(*sigma):
@@ -152,6 +165,7 @@ def run_triangulate(options: Namespace) -> int:
         labels["total_twist"] = np.radians(labels["total_twist"])
     points = triangulate(rig, marks.pixels.reshape(len(rig.cameras), -1, 2), chosen)
     _check_reading(rig, marks, points, chosen)
+    _doubt_cameras(rig, points)
     up = {} if options.up is None else {"up": options.up}
     observations, filled = observe(marks, points, options.rest_length, **up, name=options.out.stem, **labels)
     save_observations(options.out, observations)
@@ -165,17 +179,27 @@ def _check_reading(rig: Rig, marks: Marks, points: Points, chosen: Triangulation
     rods = points.position.reshape(len(marks.names), -1, 3)
     spacing = np.linalg.norm(np.diff(rods, axis=1), axis=-1)
     spacing = float(np.median(spacing[np.isfinite(spacing)])) if np.isfinite(spacing).any() else np.nan
+    if rig.reading.unit is None and spacing < LEAST_SPACING_MM <= spacing * UNITS_IN_MM["m"]:
+        raise InputError(rig.source, "cameras", f"marks are {spacing:.2g} mm apart, unless its lengths are in m",
+                         "give --rig-unit m, or --rig-unit mm where that is so")
     labelled = (np.isfinite(marks.pixels).all(axis=-1).sum(axis=0) > 1).sum()
     for other, assumed, option in rig.read_otherwise():
-        if other.reading.poses is None:
-            if LEAST_SPACING_MM <= spacing * UNITS_IN_MM[other.reading.unit] and spacing < LEAST_SPACING_MM:
-                raise InputError(rig.source, "cameras", f"marks are {spacing:.2g} mm apart, unless {assumed}",
-                                 f"give {option}, or --rig-unit mm where that is so")
-        elif 2 * points.valid.sum() < labelled:
+        if other.reading.poses is not None and 2 * points.valid.sum() < labelled:
             valid = triangulate(other, marks.pixels.reshape(len(rig.cameras), -1, 2), chosen).valid.sum()
             if valid > 0.9 * labelled:
                 raise InputError(rig.source, "cameras", f"labels of {labelled - points.valid.sum()} of {labelled} marks "
                                  f"contradict each other, of {labelled - valid} if {assumed}", f"give {option}")
+
+
+def _doubt_cameras(rig: Rig, points: Points) -> None:
+    """Warn of cameras whose labels disagree with the others' at most marks."""
+    out = points.status == MarkStatus.OUTLIER_LEFT_OUT
+    for name, residual, used in zip(rig.names, points.residual, points.used, strict=True):
+        seen = points.valid & np.isfinite(residual)
+        wrong = int(np.sum(seen & out & ~used))
+        if 2 * wrong > seen.sum():
+            warn(f"{in_line(rig.source)}: {in_line(name)} disagrees with the others at {wrong} of {seen.sum()} marks: it has "
+                 "moved, or its images are others; calibrate it again, or leave it out")
 
 
 def _marks_summary(marks: Marks, rig: Rig, points: Points, observations: Observations, filled: np.ndarray,

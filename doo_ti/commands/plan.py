@@ -49,7 +49,7 @@ def run_plan(options: Namespace) -> int:
         configurations = loading.of_scene(options, scene) if scene else loading.load(options, options.source)
     measured = given.rows("--measured", options.measured, configurations.count)
     if sigma is None:
-        sigma = SIGMA_MM if configurations.sigma is None else float(np.mean(configurations.sigma))
+        sigma = SIGMA_MM if configurations.sigma is None else float(np.nanmean(configurations.sigma))
 
     from doo_ti.refinement.plan import plan
 

@@ -17,7 +17,7 @@ from doo_ti.rod.grid import Grid
 from doo_ti.rod.observations import Observations
 from doo_ti.rod.start import check_experiment, observation_clamps
 from doo_ti.system.files import write_whole
-from doo_ti.system.terminal import in_line, progress
+from doo_ti.system.terminal import in_line, progress, warn
 
 MOST_LISTED = 20
 
@@ -64,6 +64,9 @@ def run_twist(options: Namespace) -> int:
         offset = end_offsets(observations, group)
     surroundings = given.surroundings(options)
     doubts.warn(observations, surroundings, **loading.stated(options))
+    if all(getattr(options, name) is None for name in ("twist", "twist_ratio", "GJ", "theta")):
+        warn("GJ is not given, and taken to be as large as EI: shapes show GJ times the twist, so half the GJ is twice the "
+             "twist; give --GJ, or --twist")
     material = with_rest_curvature(options, grid.materials(), observations.rest_length)
     search = TwistOptions(precision=options.precision, surroundings=surroundings)
     with progress() as bar:

@@ -93,7 +93,7 @@ def adequacy(fit: Fit, fitted: Fitted) -> Adequacy:
     counts = comparison.weight[state.used] > 0
     stated = fit.unknowns.rod.observations.sigma is not None
     sigma = state.scales["marks"]
-    noise = float(np.mean(fit.unknowns.rod.observations.sigma)) if stated else sigma
+    noise = float(np.nanmean(fit.unknowns.rod.observations.sigma)) if stated else sigma
     gap = state.scales["gap"] * float(np.sqrt((comparison.gap_modes**2).sum(axis=1).mean()))
     degrees = max(3.0 * counts.sum() - len(fit.unknowns.names), 1.0)
     return Adequacy(noise, stated, float(np.sqrt((rows**2).sum() / degrees) / sigma), gap,

@@ -307,7 +307,7 @@ def _corrected(found: Optimum, options: RefinementOptions) -> Optimum:
         correction = mesh_correction(fit.unknowns, values, solution, fit.solver)
         size = _root_mean_square(correction[fitted.state.used])
         noise = fitted.state.scales["marks"] * (1.0 if fit.unknowns.rod.observations.sigma is None
-                                                else float(np.mean(fit.unknowns.rod.observations.sigma)))
+                                                else float(np.nanmean(fit.unknowns.rod.observations.sigma)))
         edges = fit.unknowns.rod.edges
         if size > ASYMPTOTIC * noise and 2 * edges <= MOST_EDGES:
             finer = replace(fit.unknowns, rod=replace(fit.unknowns.rod, edges=2 * edges))

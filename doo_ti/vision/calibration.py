@@ -85,6 +85,7 @@ class Calibration:
     sigma_px: float  # standard deviation of one coordinate of a corner, estimated from the residuals
     centre_sigma: np.ndarray  # (C, 3) mm: standard deviation of the camera centres along the world's axes
     focal_sigma: np.ndarray  # (C, 2) px: of fx and fy
+    alone: np.ndarray  # (C,) px: root mean square distance of a camera's corners where it is calibrated by itself
 
     @property
     def worst(self) -> tuple[int, int]:
@@ -107,7 +108,7 @@ def calibrate(points: np.ndarray, sightings: list[Sighting], sizes: dict[str, tu
     """
     names = tuple(sizes)
     _check(sightings, names, world, source)
-    cameras, poses = _lenses(points, sightings, sizes, distortion, source)
+    cameras, poses, alone = _lenses(points, sightings, sizes, distortion, source)
     bundle = _placed(points, sightings, cameras, poses, views, source)
     if world == "first-board":
         turn, shift = bundle.rotations[0], bundle.translations[0]
@@ -123,7 +124,10 @@ def calibrate(points: np.ndarray, sightings: list[Sighting], sizes: dict[str, tu
         bundle, covariance = adjusted(bundle, points, sightings, free)
     except np.linalg.LinAlgError:
         raise InputError(source, "views", "they do not determine the cameras", TILT) from None
-    calibration = _calibration(bundle, covariance, points, sightings, free, source)
+    except InputError:  # of a lens that cannot be
+        raise InputError(source, "views", "the cameras do not agree about the board", "give images of one moment in each row, "
+                         "none mirrored or turned (--orientation)") from None
+    calibration = _calibration(bundle, covariance, points, sightings, free, alone, source)
     for camera, sigma in zip(calibration.rig.cameras, calibration.focal_sigma[:, 0]):
         if not sigma < VAGUE * camera.matrix[0, 0]:
             raise InputError(source, camera.name, f"its focal length would be {camera.matrix[0, 0]:.0f} px ± {sigma:.0f}", TILT)
@@ -141,19 +145,21 @@ def _check(sightings: list[Sighting], names: tuple[str, ...], world: str, source
                          "put another view first, or choose the camera as the world")
 
 
-def _lenses(points, sightings, sizes, distortion: int, source: str) -> tuple[list[Camera], dict[tuple[int, int], tuple]]:
-    """Each camera by itself, at the world's origin, and (view, camera): R and t of the board in front of it."""
+def _lenses(points, sightings, sizes, distortion: int, source: str
+            ) -> tuple[list[Camera], dict[tuple[int, int], tuple], np.ndarray]:
+    """Each camera by itself, at the world's origin, (view, camera): R and t of the board in front of it, and (C,) px, root mean
+    square, how far corners are off then."""
     import cv2
 
     fixed = {0: cv2.CALIB_FIX_K1 | cv2.CALIB_FIX_K2 | cv2.CALIB_FIX_K3 | cv2.CALIB_ZERO_TANGENT_DIST,
              2: cv2.CALIB_FIX_K3 | cv2.CALIB_ZERO_TANGENT_DIST, 4: cv2.CALIB_FIX_K3, 5: 0}[distortion]
-    cameras, poses = [], {}
+    cameras, poses, alone = [], {}, []
     for index, (name, size) in enumerate(sizes.items()):
         own = [sighting for sighting in sightings if sighting.camera == index]
         threads = cv2.getNumThreads()
         cv2.setNumThreads(1)  # the order of sums over several threads, and so the last digits, differ from run to run
         try:
-            _, matrix, coefficients, turns, shifts = cv2.calibrateCamera(
+            error, matrix, coefficients, turns, shifts = cv2.calibrateCamera(
                 [points[sighting.found].astype(np.float32) for sighting in own],
                 [sighting.pixels.astype(np.float32) for sighting in own], size, None, None, flags=fixed)
         except cv2.error:
@@ -163,7 +169,8 @@ def _lenses(points, sightings, sizes, distortion: int, source: str) -> tuple[lis
         cameras.append(Camera(name, *size, matrix, np.ravel(coefficients)[:5], np.eye(3), np.zeros(3)))
         for sighting, turn, shift in zip(own, turns, shifts):
             poses[sighting.view, index] = cv2.Rodrigues(turn)[0], np.ravel(shift)
-    return cameras, poses
+        alone.append(error)
+    return cameras, poses, np.array(alone)
 
 
 def _placed(points, sightings, cameras, poses, views: int, source: str) -> Bundle:
@@ -212,7 +219,8 @@ def _rms(camera: Camera, points: np.ndarray, sighting: Sighting, rotation: np.nd
     return float(np.sqrt(mean)) if np.isfinite(mean) else np.inf
 
 
-def _calibration(bundle: Bundle, covariance: np.ndarray, points, sightings, free, source: str) -> Calibration:
+def _calibration(bundle: Bundle, covariance: np.ndarray, points, sightings, free, alone: np.ndarray, source: str
+                 ) -> Calibration:
     """The adjusted bundle and its covariance as a rig with its errors."""
     shape = len(bundle.rotations), len(bundle.cameras)
     lenses, of_cameras, _ = places(shape[1], shape[0])
@@ -232,7 +240,7 @@ def _calibration(bundle: Bundle, covariance: np.ndarray, points, sightings, free
         centre_sigma[index] = sigma * np.sqrt(np.diag(by_pose @ pose @ by_pose.T))
         focal_sigma[index] = sigma * np.sqrt(np.diag(covariance)[lenses[index, :2]])
     return Calibration(Rig(bundle.cameras, source), bundle.rotations, bundle.translations, rms, corners,
-                       float(np.sqrt(squares / corners.sum())), float(sigma), centre_sigma, focal_sigma)
+                       float(np.sqrt(squares / corners.sum())), float(sigma), centre_sigma, focal_sigma, alone)
 
 
 # --- bundle adjustment -----------------------------------------------------------------------------------------------------

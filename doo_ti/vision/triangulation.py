@@ -156,7 +156,7 @@ def _fitted(rig: Rig, pixels: np.ndarray, used: np.ndarray) -> tuple[np.ndarray,
 
     def linearised(trial):
         cost, normal, slope = _linearised(rig, pixels, used, trial)
-        return np.where(sound, cost, np.inf), normal, slope
+        return np.where(sound & (np.linalg.det(normal) > 0), cost, np.inf), normal, slope  # far off, rays are parallel
 
     position, cost, _ = least_squares(
         position, linearised, np.add, lambda better, trial, before: np.where(better[:, None], trial, before),

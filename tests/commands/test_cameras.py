@@ -4,16 +4,14 @@ read."""
 import json
 import re
 from dataclasses import replace
-from types import SimpleNamespace
 
 import cv2
 import numpy as np
 import pytest
 
 from doo_ti import Clamp, Rig, load_observations, observation_clamps, start_configuration
-from doo_ti.commands import cameras
 from doo_ti.commands.cli import main
-from doo_ti.vision.board import Board, Views
+from doo_ti.vision.board import Board
 from doo_ti.vision.rig_files import load_rig, save_rig
 from tests.commands.calls import refused, succeeded
 from tests.conftest import SEED
@@ -70,14 +68,6 @@ def test_pixels_that_are_no_squares_are_said(pictures, tmp_path, capsys):
     (tmp_path / "views.csv").write_bytes((pictures / "views.csv").read_bytes())
     assert main(["calibrate", str(tmp_path / "views.csv"), "--board", TEXT, "--out", str(tmp_path / "rig.yaml")]) == 0
     assert capsys.readouterr().err.count("measure the board's squares both ways") == 3
-
-
-def test_an_image_that_fits_far_worse_is_named(capsys):
-    rms = np.array([[0.1, 0.12], [0.1, 0.9], [0.11, np.nan]])
-    views = Views(("a", "b", "c"), ("cam0", "cam1"), {}, "views.csv")
-    cameras._doubt_calibration(views, SimpleNamespace(rms=rms, rig=RIG, focal_sigma=np.zeros((3, 2))))
-    said = capsys.readouterr().err
-    assert "view b: 0.9 px off, the median image 0.11" in said and said.count("view ") == 1
 
 
 TABLES = {

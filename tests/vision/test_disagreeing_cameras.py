@@ -1,0 +1,69 @@
+"""Rigs, boards and labels that do not belong together: what is said of them."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+import doo_ti as d
+from doo_ti.commands import cameras
+from doo_ti.vision.board import Board, Views
+from doo_ti.vision.calibration import Sighting, calibrate
+from doo_ti.vision.triangulation import MarkStatus, triangulate
+from tests.vision.boards import around, poses
+
+BOARD, RIG = Board(9, 6, 10.0), around()
+SIZES = {camera.name: (camera.width, camera.height) for camera in RIG.cameras}
+
+
+def seen(rng, views: int, moved_mm: float) -> list[Sighting]:
+    """Corners of a board that moves so far before the last camera takes its image."""
+    found = []
+    for view, (turn, place) in enumerate(poses(BOARD, views, rng)):
+        for index, camera in enumerate(RIG.cameras):
+            shift = moved_mm * rng.normal(size=3) * (index == len(RIG.cameras) - 1)
+            pixels = camera.project(BOARD.points @ turn.T + place + shift)
+            found.append(Sighting(view, index, np.arange(len(pixels)), pixels + rng.normal(0, 0.05, pixels.shape)))
+    return found
+
+
+@pytest.mark.parametrize("moved_mm, said", [(0.0, False), (1.0, True)])
+def test_a_board_that_moves_between_cameras_is_said(rng, capsys, moved_mm, said):
+    """The rig comes out some millimetres off; each camera alone knows of nothing."""
+    found = calibrate(BOARD.points, seen(rng, 9, moved_mm), SIZES, 9)
+    assert found.alone.max() < 0.12
+    cameras._doubt_calibration(Views(tuple("abcdefghi"), RIG.names, {}, "views.csv"), found)
+    assert ("the board moved between cameras" in capsys.readouterr().err) == said
+
+
+def test_cameras_at_one_place_and_images_that_fit_far_worse_are_doubted(capsys):
+    rig = SimpleNamespace(cameras=(RIG.cameras[0],) * 2)
+    rms = np.array([[0.1, 0.12], [0.1, 0.9], [0.11, np.nan]])
+    twice = SimpleNamespace(rig=rig, rms=rms, focal_sigma=np.ones((2, 2)), alone=np.full(2, 0.1), overall_rms=0.1,
+                            centre_sigma=np.full((2, 3), 0.1))
+    cameras._doubt_calibration(Views(tuple("abc"), ("left", "right"), {}, "views.csv"), twice)
+    said = capsys.readouterr().err
+    assert "left and right are 0 mm apart: are their images the same?" in said
+    assert "view b: 0.9 px off, the median image 0.11" in said and said.count("view ") == 1
+
+
+def test_rays_that_meet_nowhere_end_in_a_status():
+    """A rig whose poses are read the other way round: the normal equations became singular far off."""
+    turns = [[[0.866025, -0.121268, 0.485071], [-0.5, -0.210042, 0.840168], [0, -0.970143, -0.242536]],
+             [[0.984808, 0.042116, -0.168463], [0.173648, -0.238851, 0.955404], [0, -0.970143, -0.242536]],
+             [[0.642788, 0.185793, -0.743172], [0.766044, -0.155899, 0.623596], [0, -0.970143, -0.242536]]]
+    places = [[-225.0, -389.7114, 112.5], [78.1417, -443.1635, 112.5], [344.72, -289.2544, 112.5]]
+    rig = d.Rig(tuple(d.Camera(f"cam{k}", 800, 600, [[900 + 7 * k, 0, 392 + 3 * k], [0, 901 + 7 * k, 305], [0, 0, 1]],
+                               [-0.12, 0.05, 0.001, -0.0005, 0], turns[k], places[k]) for k in range(3)))
+    found = triangulate(rig, np.array([[[394.566, 256.569]], [[411.98, 258.703]], [[430.945, 262.158]]]))
+    assert found.status[0] > MarkStatus.OUTLIER_LEFT_OUT and np.isnan(found.position).all()
+
+
+def test_a_camera_that_disagrees_at_most_marks_is_named(rng, capsys):
+    rig = around(count=4)
+    points = np.stack([np.linspace(-40, 40, 20), 10 * np.sin(np.arange(20)), 8 * np.cos(np.arange(20))], axis=-1)
+    pixels = rig.project(points) + rng.normal(0, 0.3, (4, 20, 2))
+    pixels[1] += [6.0, -8.0]
+    cameras._doubt_cameras(rig, triangulate(rig, pixels))
+    said = capsys.readouterr().err
+    assert "cam1 disagrees with the others at" in said and said.count("disagrees") == 1
