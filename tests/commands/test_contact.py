@@ -5,11 +5,10 @@ import json
 import numpy as np
 import pytest
 
-from doo_ti import Cylinder, Observations, save_observations
+from doo_ti import Cylinder, Observations, Surroundings, save_observations
 from doo_ti.commands import loading
 from doo_ti.commands.cli import main
 from doo_ti.commands.doubts import inside_doubt, mesh_doubt
-from doo_ti.contact.surroundings import Surroundings
 from tests.commands.calls import made, refused, succeeded, written
 
 PLANE = '[[obstacles]]\nkind = "plane"\npoint = [0, 0, 0]\nnormal = [0, 0, 1]\n'

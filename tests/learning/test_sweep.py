@@ -8,10 +8,9 @@ import numpy as np
 import pyarrow.parquet
 import pytest
 
-from doo_ti import Axis, Grid, InputError, Material, Observations, SweepOptions, distance, relax, sweep
+from doo_ti import Axis, Grid, InputError, Material, Observations, SweepOptions, distance, read_landscape, relax, sweep
 from doo_ti.learning import sweeps
 from doo_ti.learning.experiment import Experiment, relax_cells
-from doo_ti.learning.landscape import read_landscape
 from doo_ti.learning.run_folder import read_experiment
 from doo_ti.learning.terms import Pairs, pairs_from_labels
 from doo_ti.motion.path import Motion, carry

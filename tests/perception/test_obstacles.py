@@ -4,9 +4,8 @@ table."""
 import numpy as np
 import pytest
 
-from doo_ti import PerceptionOptions, Plane, Surroundings, end_clamps, perceive, relax, straight_rod
+from doo_ti import PerceptionOptions, Plane, Surroundings, end_clamps, perceive, relax, save_observations, straight_rod
 from doo_ti.commands.cli import main
-from doo_ti.io.observation_files import save_observations
 from doo_ti.rod.types import Clamp, Material, Status
 from doo_ti.vision.tubes import smooth_curve
 from tests.commands.calls import refused, written

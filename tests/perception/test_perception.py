@@ -6,12 +6,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from doo_ti import DistanceMaps, Material, Status, detect, distance_maps, load_rig, score
+from doo_ti import DistanceMaps, Material, PerceptionOptions, Status, detect, distance_maps, load_rig, score
 from doo_ti.perception import search
 from doo_ti.perception.growth import rank_distinct, sampled_directions, select_hypotheses, suppress_similar
 from doo_ti.perception.perceive import Perception, PerceptionVerdict, perceive
 from doo_ti.perception.posterior import bending_hessian, vertex_sigma
-from doo_ti.perception.search import PerceptionOptions
 from doo_ti.rod.frames import arc_lengths, placed, unit_vectors
 from doo_ti.vision.images import load_sets, read_image
 from doo_ti.vision.tubes import smooth_curve

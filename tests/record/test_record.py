@@ -10,9 +10,8 @@ import rerun
 import rerun.blueprint as blueprint
 from rerun.chunk import RrdReader
 
-from doo_ti import InterruptedRunError, LandscapePlane, Observed, Status
+from doo_ti import InterruptedRunError, LandscapePlane, Observed, Status, record_sweep
 from doo_ti.record import viewer
-from doo_ti.record.sweep import record_sweep
 from doo_ti.record.viewer import DESCRIPTORS, FAILED, open_viewer, recording
 from tests.conftest import SEED, check_refused
 from tests.processes import python
