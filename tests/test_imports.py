@@ -129,8 +129,7 @@ def test_no_file_postpones_annotations():
 def test_importing_costs_nothing_heavy(module):
     """Heavy libraries are imported where they are used: taichi 1 s, rerun 0.5 s."""
     heavy = ["taichi", "rerun", "cv2", "matplotlib", "pyarrow", "dask", "scipy", "jax", "distributed", "trimesh"]
-    script = f"import sys, {module}; print([name for name in {heavy} if name in sys.modules])"
-    result = python("-c", script)
+    result = python("-c", f"import sys, {module}; print([name for name in {heavy} if name in sys.modules])")
     assert result.returncode == 0, result.stderr
     assert result.stdout.strip() == "[]"
 

@@ -42,8 +42,7 @@ def test_examples_are_valid(command, capsys):
 
 @pytest.mark.parametrize("command", COMMANDS)
 def test_help_shows_what_matters_and_help_all_the_rest(command, capsys):
-    parser = _parser().commands[command]
-    names = {action.option_strings[-1]: action.required for action in parser._actions
+    names = {action.option_strings[-1]: action.required for action in _parser().commands[command]._actions
              if action.option_strings and action.help != "==SUPPRESS=="}
     assert set(FIRST.get(command, names)) <= set(names)
     shown = {}

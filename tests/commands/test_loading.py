@@ -58,8 +58,7 @@ def test_columns_that_are_swapped_are_warned_of(tmp_path, capfd):
     ("10", "1e-4", ()), ("0.01", "1e-4", ("0.01 g/m", "kg/m")), ("50", "4e3", ("4000 N m²", "g/m")), ("10", "1e-4:1e5:9", ())])
 def test_masses_and_stiffnesses_of_no_rod_are_warned_of(tmp_path, capfd, density, stiffness, words):
     """At 500 mm; of a range the least counts."""
-    options = Namespace(EI=stiffness, linear_density=float(density))
-    warn_of_rod("rod", np.full(10, 50.0), None, **stated(options))
+    warn_of_rod("rod", np.full(10, 50.0), None, **stated(Namespace(EI=stiffness, linear_density=float(density))))
     said = capfd.readouterr().err
     assert all(word in said for word in words) and bool(said) == bool(words)
 

@@ -107,8 +107,7 @@ def test_rods_begun_by_clicks_end_where_the_thread_ends(photographed, tmp_path, 
     assert abs(found.rest_length.sum() / 29 * 33 / (3 * EDGES) - 1) < 0.05
     for marks, rod in zip(found.vertices, rods, strict=True):
         assert cKDTree(smooth_curve(rod, 200)).query(marks)[0].max() < 0.2
-    wrong = lines[2].replace(lines[2].split(",")[6], "9")
-    (tmp_path / "sets.csv").write_text("\n".join([lines[0], wrong]) + "\n")
+    (tmp_path / "sets.csv").write_text("\n".join([lines[0], lines[2].replace(lines[2].split(",")[6], "9")]) + "\n")
     capfd.readouterr()
     refused(capfd, tmp_path, words, "sets.csv: --seed-pixel: 9,")
 

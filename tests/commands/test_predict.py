@@ -56,8 +56,7 @@ def log_of(poses, turn: np.ndarray, scale: float) -> str:
     rows = [[f"{0.5 * k}", "0.1"] for k in range(len(poses["end_frame"]))]
     for end in ("start", "end"):
         names += [f"{end}/position/{axis}" for axis in "xyz"] + [f"{end}/orientation/{part}" for part in "xyzw"]
-        tool = turn @ poses[f"{end}_frame"][..., [1, 2, 0]]
-        quaternion = quaternion_from_matrix(tool)[:, [1, 2, 3, 0]]
+        quaternion = quaternion_from_matrix(turn @ poses[f"{end}_frame"][..., [1, 2, 0]])[:, [1, 2, 3, 0]]
         places = scale * poses[f"{end}_position_mm"] @ turn.T
         rows = [row + [repr(float(x)) for x in (*place, *q)] for row, place, q in zip(rows, places, quaternion, strict=True)]
     return "\n".join(map(",".join, [names, *rows]))

@@ -40,8 +40,7 @@ def commands() -> list[tuple[str, list[str]]]:
     """(page, words) of every line of a page that begins with ``doo-ti``, without comments."""
     found = []
     for page in PAGES:
-        lines = page.read_text(encoding="utf-8").replace("\\\n", " ").splitlines()
-        for line in lines:
+        for line in page.read_text(encoding="utf-8").replace("\\\n", " ").splitlines():
             text = line.strip().removeprefix("$ ")
             if text.startswith("doo-ti ") and "…" not in text:
                 found.append((page.name, shlex.split(text, comments=True)[1:]))

@@ -31,11 +31,10 @@ def full_keys(rng) -> dict[str, np.ndarray]:
 
 
 def same(first: Observations, second: Observations, tolerance: float = 0.0) -> bool:
-    pairs = [(getattr(first, name), getattr(second, name)) for name in KEYS]
     return all(
         (a is None) == (b is None) and (a is None or (np.shape(a) == np.shape(b) and np.allclose(
             a, b, rtol=0, atol=tolerance, equal_nan=True)))
-        for a, b in pairs)
+        for a, b in [(getattr(first, name), getattr(second, name)) for name in KEYS])
 
 
 def test_every_key_is_read_in_our_units(tmp_path, rng):
@@ -72,8 +71,7 @@ def test_default_rest_length_leaves_missing_marks_out(rng):
     valid = np.ones((3, 9), dtype=bool)
     valid[0, 4] = False
     vertices[0, 4] = np.nan
-    found = Observations(vertices, valid).rest_length
-    np.testing.assert_allclose(found[3:5], np.median(expected[:, 3:5], axis=0))
+    np.testing.assert_allclose(Observations(vertices, valid).rest_length[3:5], np.median(expected[:, 3:5], axis=0))
 
 
 def test_lengths_along_arcs():

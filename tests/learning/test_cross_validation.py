@@ -104,8 +104,7 @@ def test_weights_of_pairs_count_in_training_and_in_the_score(rng):
 def test_the_order_of_terms_does_not_break_ties(rng):
     """Two cells hold the same distances in another order: their sums are the same, so the first of them is chosen."""
     half = rng.uniform(0, 1, 60)
-    distance = np.stack([half + 1, half, half[rng.permutation(60)], half[::-1]])
-    part = whole(static("a", distance))
+    part = whole(static("a", np.stack([half + 1, half, half[rng.permutation(60)], half[::-1]])))
     assert chosen_cells(part, np.array([[-1, -1]])).tolist() == [1]
 
 
@@ -196,8 +195,7 @@ def test_runs_that_cannot_be_compared_are_reported(runs, by, distances, words):
 
 def fooled(name: str = "nylon"):
     """Five cells of four rods, the second the best, except for the fourth, in which a rod stalled close to its observation."""
-    distance = np.array([3.0, 1.0, 2.0, 0.1, 3.0])[:, None] + np.zeros(4)
-    landscape = static(name, distance)
+    landscape = static(name, np.array([3.0, 1.0, 2.0, 0.1, 3.0])[:, None] + np.zeros(4))
     landscape.status[3, 1] = Status.STALLED
     return landscape
 

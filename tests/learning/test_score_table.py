@@ -21,8 +21,7 @@ def scores(rng):
     """Two materials at two end distances; one rod has no distance, one is no certified minimum."""
     runs = []
     for name, cell in (("nylon", 1), ("silk", 3)):
-        distance = 1 + rng.uniform(0, 0.1, (5, 8)) + np.abs(np.arange(5) - cell)[:, None]
-        runs.append(static(name, distance, LABELS))
+        runs.append(static(name, 1 + rng.uniform(0, 0.1, (5, 8)) + np.abs(np.arange(5) - cell)[:, None], LABELS))
     runs[1].distance[:, 6] = np.nan
     runs[0] = replace(runs[0], stable=np.tile(np.arange(8) != 2, (5, 1)))
     found, = partition(runs, ("material", "end-distance"))
@@ -72,14 +71,12 @@ def test_terms_not_certified_or_left_out_are_listed_below_the_table(scores):
     assert f" {16 - LISTED} " in notes(replace(scores, left_out=np.ones((4, 4), int)))[0]
     jumped = replace(scores, jumped=np.eye(4, dtype=int), partition=replace(scores.partition, unlabelled=3))
     assert "nylon 30 mm -> nylon 30 mm 1 of 4" in notes(jumped)[-1] and notes(jumped)[0].startswith("3 ")
-    choices = text(scores, 300).split("\n\n")[-1].splitlines()
-    certified = [re.findall(r"\d of \d", line) for line in choices[1:]]
+    certified = [re.findall(r"\d of \d", line) for line in text(scores, 300).split("\n\n")[-1].splitlines()[1:]]
     assert certified == [["3 of 4", "3 of 3"], ["4 of 4", "4 of 4"], ["4 of 4", "4 of 4"], ["3 of 4", "3 of 3"]]
 
 
 def test_a_training_set_that_chooses_nothing_shows_a_dash():
-    runs = [static("a", np.full((3, 4), np.nan)), static("b", np.ones((3, 4)))]
-    found, = partition(runs, ("material",))
+    found, = partition([static("a", np.full((3, 4), np.nan)), static("b", np.ones((3, 4)))], ("material",))
     table = text(cross_validate(found), 120)
     assert re.search(r"^a +\[–\] +– *$", table, re.MULTILINE)
     assert re.search(r"^a +– +– +– +– +0 of 4 +–$", table, re.MULTILINE)

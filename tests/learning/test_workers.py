@@ -7,7 +7,6 @@ import socket
 import subprocess
 import sys
 import time
-from pathlib import Path
 
 import pytest
 
@@ -18,6 +17,7 @@ from doo_ti.learning.workers import as_made, started_workers
 from tests.conftest import check_refused
 from tests.learning.lab import GRID, small_lab
 from tests.learning.test_sweep import assert_same_cells, small_chunks  # noqa: F401  a fixture
+from tests.processes import ROOT
 
 
 @pytest.fixture(scope="module")
@@ -69,8 +69,7 @@ def test_a_scheduler_that_is_killed_is_one_line(tmp_path):
     """The command, in a separate process: exit code 1, how to resume, and no log of Dask."""
     pytest.importorskip("distributed", reason="no cluster without Dask")
     save_observations(tmp_path / "o.npz", small_lab())
-    root = Path(__file__).resolve().parents[2]
-    environment = {**os.environ, "PYTHONPATH": str(root)}
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
 
     def dask(part: str, *words: str, **streams) -> subprocess.Popen:
         return subprocess.Popen([sys.executable, "-m", f"distributed.cli.dask_{part}", *words, "--no-dashboard"], cwd=tmp_path,

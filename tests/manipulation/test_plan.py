@@ -29,8 +29,7 @@ def test_shapes_are_those_of_their_rods():
     again = Shapes.of(shapes.rods, 10)
     assert np.allclose(again.place, shapes.place) and np.allclose(again.joints, shapes.joints, atol=1e-12)
     assert np.allclose(shapes.apart(again, 60.0), 0.0, atol=1e-5)
-    other = Shapes.of(shapes.rods, 0)
-    assert np.allclose(other.rods.vertices, shapes.rods.vertices)
+    assert np.allclose(Shapes.of(shapes.rods, 0).rods.vertices, shapes.rods.vertices)
 
 
 def test_a_way_leads_from_one_shape_to_the_other_at_a_constant_pace():
@@ -43,8 +42,7 @@ def test_a_way_leads_from_one_shape_to_the_other_at_a_constant_pace():
 
 def test_a_thin_obstacle_between_two_shapes_is_found():
     rods = Shapes(np.zeros((2, 3)), np.tile([1.0, 0, 0, 0], (2, 1)), np.zeros((2, 19, 3)), LENGTHS, 10).rods.vertices
-    needle = Surroundings([d.Capsule((3.0, 11.3, -50), (3.0, 11.3, 50), 0.2)], 0.3)
-    clearance = Clearance(needle, 100.0, 20)
+    clearance = Clearance(Surroundings([d.Capsule((3.0, 11.3, -50), (3.0, 11.3, 50), 0.2)], 0.3), 100.0, 20)
     for shift, clear in ((9.0, True), (40.0, False)):
         after = rods + [0, shift, 0]
         assert (clearance.between(rods, after, clearance.of(rods), clearance.of(after)) == clear).all()
@@ -116,8 +114,7 @@ def test_no_rod_is_pulled_taut_to_a_straight_target():
     own = some().take(np.array([0]))
     place = np.linspace(0.0, LENGTH, own.real.edges + 1)
     path = plan(own, np.stack([place, 0 * place, 0 * place], axis=-1)[None], options=d.PlanOptions(seconds=4.0))
-    apart = np.linalg.norm(path.end_position[-1] - path.start_position[-1])
-    assert not path.reached and apart < 0.998 * LENGTH
+    assert not path.reached and np.linalg.norm(path.end_position[-1] - path.start_position[-1]) < 0.998 * LENGTH
 
 
 @pytest.mark.thorough
@@ -133,8 +130,7 @@ def test_obstacles_are_kept_clear_of():
     around = Surroundings([ball], 1.5)
     assert around.smallest_gap(d.predict(own.real, own.true, own.clamps, straight, between=20).vertices[:, 0]).min() < 0
     path = plan(own, goal, obstacles=[ball], radius=1.5, options=d.PlanOptions(seconds=60.0))
-    shapes = followed(own, path)
-    assert path.reached and around.smallest_gap(shapes).min() > 0.0
+    assert path.reached and around.smallest_gap(followed(own, path)).min() > 0.0
 
 
 @pytest.mark.thorough

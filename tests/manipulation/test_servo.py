@@ -29,8 +29,7 @@ def run(own: Tasks, servo: d.Servo, steps: int) -> tuple[np.ndarray, d.Simulatio
     """Mean distances (steps, B) of the true rods to their goals, and these rods."""
     random, simulation, distances = np.random.default_rng(5), own.simulation(), []
     for _ in range(steps):
-        clamps = servo.step(own.marks(simulation.state.configuration, 11, random))
-        state = simulation.step(held(clamps, own.clip))
+        state = simulation.step(held(servo.step(own.marks(simulation.state.configuration, 11, random)), own.clip))
         distances.append(np.linalg.norm(own.vertices(state.configuration) - own.goal, axis=-1).mean(axis=1))
     return np.array(distances), simulation
 
@@ -240,8 +239,7 @@ def test_targets_out_of_reach_are_approached_and_said():
 def test_poses_are_the_caller_s_own_and_marks_may_be_whole_numbers():
     one, other = servo_of_two(), servo_of_two()
     seen = some("own mesh").take(np.arange(2)).rods.vertices.round()
-    clamps = one.step(seen.astype(np.int64))
-    clamps.end_position[:] += 100.0
+    one.step(seen.astype(np.int64)).end_position[:] += 100.0
     other.step(seen)
     np.testing.assert_array_equal(one.clamps.end_position, other.clamps.end_position)
 

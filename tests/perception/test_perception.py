@@ -27,8 +27,7 @@ OPTIONS = PerceptionOptions(hypotheses=15)
 def scene():
     """(rig, the rods' vertices, their maps)."""
     rods = curves(np.random.default_rng(8), SETS, EDGES)
-    fine = smooth_curve(rods, 4)
-    return three_cameras(), rods, drawn_maps(three_cameras(), fine)
+    return three_cameras(), rods, drawn_maps(three_cameras(), smooth_curve(rods, 4))
 
 
 @pytest.fixture(scope="module")
@@ -121,8 +120,7 @@ def test_one_camera_makes_a_rod_ambiguous(found):
 def test_images_of_other_cameras_are_no_rod(scene):
     """Two cameras swapped: no rod fits them, which the verdict says."""
     rig, rods, maps = scene
-    swapped = DistanceMaps(maps.values, np.ascontiguousarray(maps.window[:, [1, 0, 2]]))
-    several = recovered((rig, rods, swapped))
+    several = recovered((rig, rods, DistanceMaps(maps.values, np.ascontiguousarray(maps.window[:, [1, 0, 2]]))))
     assert several.verdict.tolist() == [PerceptionVerdict.NOT_FOUND] * SETS
     unseen = replace(several, camera_error=np.full_like(several.camera_error, np.nan))
     assert unseen.verdict.tolist() == [PerceptionVerdict.NOT_FOUND] * SETS

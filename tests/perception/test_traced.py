@@ -95,8 +95,7 @@ def test_depth_stays_in_bounds_where_images_say_nothing_of_it():
     path = ImagePath(np.stack([500 + place, 400 + 0.5 * place], axis=1), np.ones(300, dtype=bool), 0.0, 1.0)
     start = rig.cameras[0].centre + 300.0 * rays(rig.cameras[0], path.points[:1])[0]
     found, _, _ = curve_of(same, Match((path, path), np.tile(np.arange(0.0, 299.0, 2.0), (2, 1)), 0.0), start, 100.0, 0.0)
-    depth = rig.cameras[0].depth(found)
-    assert depth.max() <= 4.001 * rig.cameras[0].depth(start)
+    assert rig.cameras[0].depth(found).max() <= 4.001 * rig.cameras[0].depth(start)
 
 
 def test_a_rod_that_leaves_a_piece_of_the_thread_out_is_not_clear(seen):
@@ -124,8 +123,7 @@ def test_a_rod_along_something_wider_or_twice_along_a_line_is_noticed(seen):
 @pytest.mark.parametrize("share", [0.8, 1.15])
 def test_a_rod_of_another_length_lies_where_the_thread_is(seen, share):
     found = recovered(seen, share * LENGTH_MM)
-    error = errors(found, seen[1], share)
-    assert (error < 0.8).all() and (np.abs(found.thread_length / LENGTH_MM - 1) < 0.03).all()
+    assert (errors(found, seen[1], share) < 0.8).all() and (np.abs(found.thread_length / LENGTH_MM - 1) < 0.03).all()
     assert not (found.verdict == d.PerceptionVerdict.CLEAR).any()
     assert (np.abs(found.left_over - max(0.0, 1 - share) * LENGTH_MM) < 0.03 * LENGTH_MM).all()
 
@@ -254,8 +252,7 @@ def test_where_a_rod_is_clear_the_range_of_its_length_holds_the_thread_s(rng):
 
 def test_coverage_is_the_share_of_points_near_the_rod(seen):
     rig, curves, detections = seen
-    halves = np.array([points[:: 20][: 51] for points in curves])
-    found = coverage(rig, halves, np.arange(3), detections, 40.0)
+    found = coverage(rig, np.array([points[:: 20][: 51] for points in curves]), np.arange(3), detections, 40.0)
     for row, images in enumerate(detections):
         for c, camera in enumerate(rig.cameras):
             off = cKDTree(camera.project(curves[row][:1001:5])).query(images[c].points)[0]

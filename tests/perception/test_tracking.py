@@ -178,8 +178,7 @@ def test_another_rod_is_not_tracked(video):
 def test_a_moving_gripper_takes_the_rod_along():
     """The rod turns as a whole by 12° from frame to frame, and moves 2 mm, as its seed shows."""
     shape = rods()[5] - rods()[5].mean(axis=0)
-    axis = np.array([0.6, 0.0, 0.8])
-    turns = matrix_from_quaternion(quaternion_about(axis, np.radians(12.0) * np.arange(8)))
+    turns = matrix_from_quaternion(quaternion_about(np.array([0.6, 0.0, 0.8]), np.radians(12.0) * np.arange(8)))
     truth = shape @ np.swapaxes(turns, 1, 2) + np.array([2.0, 0, 0]) * np.arange(8)[:, None, None]
     video = [[d.detect(one) for one in frame] for frame in photographed(truth)]
     found, error = tracked(video, truth, d.Material(2e5, 2e5, 0.0))

@@ -48,8 +48,7 @@ def test_every_grasp_has_its_own_angle(made):
     """Footnote 4: two grasps, two turns of the rod in the gripper."""
     group = consecutive_groups(made.count, made.count, [3])
     assert group.tolist() == [0, 0, 0, 1, 1]
-    offset = made.total_twist - np.where(group == 0, 0.4, -1.1)
-    estimate = estimate_twist(made, MATERIAL, group, offset)
+    estimate = estimate_twist(made, MATERIAL, group, made.total_twist - np.where(group == 0, 0.4, -1.1))
     np.testing.assert_allclose(estimate.phi, [0.4, -1.1], atol=np.radians(1.0))
 
 

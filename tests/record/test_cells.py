@@ -73,8 +73,7 @@ def test_each_cell_is_a_step_with_its_rods_its_box_and_its_text(recorded):
 def test_rods_are_coloured_on_one_scale_and_uncertified_ones_red(recorded):
     given, _, moving = recorded
     colors = np.array(moving["/world/silk/rods"]["cell"]["LineStrips3D:colors"])
-    red = int.from_bytes(bytes(FAILED))
-    np.testing.assert_array_equal(colors >> 8 == red, ~joined(given, 0, "sound"))
+    np.testing.assert_array_equal(colors >> 8 == int.from_bytes(bytes(FAILED)), ~joined(given, 0, "sound"))
     expected = distance_colors(joined(given, 0, "distance"), given["runs"][0].distance).astype(np.int64)
     packed = (expected[..., 0] << 16) + (expected[..., 1] << 8) + expected[..., 2]
     np.testing.assert_array_equal((colors >> 8)[joined(given, 0, "sound")], packed[joined(given, 0, "sound")])

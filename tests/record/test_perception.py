@@ -63,8 +63,7 @@ def test_recording_shows_growth_and_pruning(tmp_path, seen):
 
 @pytest.mark.thorough
 def test_picture_has_a_row_for_each_set(tmp_path, seen):
-    alone = replace(seen, runner_up=None, truth=None)
-    for name, rods in (("both", [seen, seen]), ("alone", [alone])):
+    for name, rods in (("both", [seen, seen]), ("alone", [replace(seen, runner_up=None, truth=None)])):
         reprojections_picture(tmp_path / f"{name}.png", three_cameras(), rods, up=(0, 0, 1), left_out=2)
     both, one = (np.asarray(Image.open(tmp_path / f"{name}.png").convert("RGB")).astype(int) for name in ("both", "alone"))
     assert both.shape[1] == one.shape[1] and both.shape[0] > 1.6 * one.shape[0]

@@ -40,8 +40,7 @@ def swept(tmp_path_factory):
 @pytest.mark.thorough
 def test_sweep_holds_the_documented_entities(swept):
     _, path, static, moving = swept
-    properties = {"/__properties", "/__properties/run"}
-    assert set(static) | set(moving) == ROOT | LANDSCAPE | properties
+    assert set(static) | set(moving) == ROOT | LANDSCAPE | {"/__properties", "/__properties/run"}
     assert {entity: set(timelines) for entity, timelines in moving.items()} == {
         "/world/rods": {"iteration", "trial"}, "/landscape/cells": {"trial"},
         **{entity: {"iteration"} for entity in ROOT if entity.startswith("/curves")}}

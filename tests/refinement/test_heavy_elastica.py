@@ -24,8 +24,7 @@ def hanging(span: float, places: np.ndarray, stiffness: float = EI, rise: float 
     """(-, 2) mm of the ``places``, m, of a cable of that ``stiffness`` between clips ``rise`` apart in height that it leaves at
     ``tilts``, rad: x, y, θ with EI θ'' = w (L − s) cos θ − H sin θ + V cos θ."""
     weight, s = GRAMS_PER_METRE * 1e-3 * 9.81, np.linspace(0, LENGTH, 401)
-    sag = brentq(lambda angle: j0(angle) - span / LENGTH, 0, 2.4)
-    angle = -sag * np.sin(2 * np.pi * s / LENGTH)
+    angle = -brentq(lambda angle: j0(angle) - span / LENGTH, 0, 2.4) * np.sin(2 * np.pi * s / LENGTH)
     guess = np.array([np.cumsum(np.cos(angle)) * s[1], np.cumsum(np.sin(angle)) * s[1], angle, np.gradient(angle, s)])
 
     def slope(s, y, force):

@@ -80,8 +80,7 @@ def test_uniform_curvature_and_up_come_back(rng):
 
 @pytest.mark.thorough
 def test_a_ribbon_s_three_stiffnesses_come_back():
-    truth = np.array([[9e5, 0.0], [0.0, 3e5]])
-    ribbon = suture(frames=True, bend=truth.tolist(), label_noise_mm=0.02)
+    ribbon = suture(frames=True, bend=((9e5, 0.0), (0.0, 3e5)), label_noise_mm=0.02)
     out = fitted(ribbon, Theta(np.diag([6e5, 4e5]), 4e5), parameters=("bend_1", "bend_2", "twist"), frame_weight=5.0)
     assert out.converged
     for name, value in (("bend_1", 9e5), ("bend_2", 3e5), ("twist", TWIST)):
@@ -212,8 +211,7 @@ def test_folds_cut_no_group_apart():
 def test_held_out_errors_are_those_of_rods_the_fit_did_not_see(seen):
     fold = folds_of(np.arange(12), 3)
     out = refine_held_out(seen, observation_clamps(seen), TRUTH, fold, QUICK)
-    inside = np.flatnonzero(fold != 1)
-    alone = fitted(seen.take(inside), TRUTH)
+    alone = fitted(seen.take(np.flatnonzero(fold != 1)), TRUTH)
     np.testing.assert_array_equal(out.refinements[1].theta.bend, alone.theta.bend)
     assert out.sound.all() and len(out.refinements) == 3
     # Eq. 1 of marks that are NOISE off in each coordinate: √(8/π) of that, of the marks that are noisy.

@@ -174,8 +174,7 @@ def marks(rng, poses: int = 10, edges: int = 100, every: int = 5) -> np.ndarray:
     curves = LENGTH * np.einsum("ks,kdx->dsx", cubic, np.stack([first[..., 0], span, last[..., 0]]))
     begun = start_configuration(Observations(curves, rest_length=np.full(edges, LENGTH / edges)), held, np.zeros(poses))
     rods = relax(begun, CURVED.material, held)
-    sound = rods.converged & rods.stable
-    seen = rods.configuration.vertices[sound, ::every]
+    seen = rods.configuration.vertices[rods.converged & rods.stable, ::every]
     return seen + NOISE * rng.normal(size=seen.shape)
 
 

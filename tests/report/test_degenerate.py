@@ -44,8 +44,7 @@ def test_a_box_is_finite_and_has_a_side(rod):
     assert np.isfinite([low, high]).all() and (high >= low).all() and widest(low, high) > 0
     assert widest(*box(np.empty((0, 2)))) == 1.0
     np.testing.assert_allclose(deviations(rod).sum(axis=0), 0.0, atol=1e-9)
-    limits = limits_around(rod[:, :2], 0.55, 0.1)
-    assert (np.ptp(limits, axis=-1) > 0).all()
+    assert (np.ptp(limits_around(rod[:, :2], 0.55, 0.1), axis=-1) > 0).all()
 
 
 def test_each_has_a_place_in_the_grid_view(rod):

@@ -96,9 +96,8 @@ def test_every_panel_and_key_is_inside_the_picture(rng):
     counts = np.zeros(values.shape, int)
     counts[1, 1], values[2, 2] = 4, np.nan
     whole = LandscapePlane.of(axes, values, (0, 0, 0, 0), counts)
-    lost = LandscapePlane.of(axes, np.full(values.shape, np.nan))
     rows = [[LandscapePanel(f"ribbon {k}", whole, (("30, 42", (5, 5)), ("54", (4, 5)))) for k in range(5)],
-            [LandscapePanel("nothing", lost)]]
+            [LandscapePanel("nothing", LandscapePlane.of(axes, np.full(values.shape, np.nan)))]]
     for relative in (False, True):
         figure, drawn = draw_panels(rows, "made up", "others", relative)
         figure.canvas.draw()
@@ -116,8 +115,7 @@ def large(shape: tuple[int, ...]):
     axes = [("bend", np.geomspace(1e4, 1e7, shape[0]), True, "mm³")]
     if len(shape) > 1:
         axes.append(("twist_ratio", np.linspace(0.1, 6, shape[1]), False, ""))
-    places = np.indices(shape)
-    values = 2 + sum(((place - 0.4 * size) / size) ** 2 for place, size in zip(places, shape, strict=True))
+    values = 2 + sum(((place - 0.4 * size) / size) ** 2 for place, size in zip(np.indices(shape), shape, strict=True))
     minimum = tuple(size // 3 for size in shape)
     values[minimum] = 1.0
     unfinished = np.zeros(shape, int)

@@ -76,8 +76,7 @@ def test_cells_not_evaluated_are_grey_and_unfinished_ones_hatched():
         return (image == GREY).all(axis=-1).sum()
 
     plain = image(values)
-    filled = image(np.nan_to_num(values, nan=5.0))
-    assert grey(plain) > 20_000 > 100 > grey(filled)
+    assert grey(plain) > 20_000 > 100 > grey(image(np.nan_to_num(values, nan=5.0)))
     counts = np.zeros(values.shape, int)
     counts[0, 0] = 3
     assert (image(values, counts) != plain).any()
@@ -87,9 +86,8 @@ def test_cells_not_evaluated_are_grey_and_unfinished_ones_hatched():
 @pytest.mark.parametrize("shape", [(1, 1, 1), (7, 1, 1), (1, 1, 4), (3, 2, 2), (25, 30, 1), (3, 3, 3, 2)])
 @pytest.mark.parametrize("empty", [False, True])
 def test_every_shape_of_grid_is_drawn_with_its_key_inside_the_picture(shape, empty, rng):
-    names = ["bend_1", "bend_2", "twist", "weight"]
     axes = [(name, np.geomspace(5e4, 1.26e7, count), name != "weight", "mm³")
-            for name, count in zip(names, shape, strict=False)]
+            for name, count in zip(["bend_1", "bend_2", "twist", "weight"], shape, strict=False)]
     values = np.full(shape, np.nan) if empty else rng.uniform(0.5, 40, shape)
     minimum = None if empty else np.unravel_index(np.argmin(values), shape)
     unfinished = rng.integers(0, 60, shape)
@@ -116,8 +114,7 @@ def test_more_than_two_free_axes_show_the_minimum_over_the_others(rng):
     index = np.unravel_index(np.arange(values.size), values.shape)
     np.testing.assert_array_equal(plane.places(index), index[1:3])
     assert plane.best == tuple((axis[0], axis[1][k], "") for axis, k in zip(axes[1:], minimum[1:], strict=True))
-    at = np.unravel_index(np.argmin(values[0, 2, 1]), (5, 2))
-    assert plane.unfinished[2, 1] == unfinished[0, 2, 1][at]
+    assert plane.unfinished[2, 1] == unfinished[0, 2, 1][np.unravel_index(np.argmin(values[0, 2, 1]), (5, 2))]
 
 
 def test_valley_is_within_five_percent_and_leaves_nan_out():

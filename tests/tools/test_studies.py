@@ -90,5 +90,4 @@ def test_studies_run(words, monkeypatch):
 def test_cables_for_pictures_hang(rng):
     from tools.studies.picture_study import LENGTH, pose
 
-    cable = pose(rng, -30.0, 0.7)
-    assert np.linalg.norm(np.diff(cable, axis=0), axis=-1).sum() == pytest.approx(LENGTH, rel=1e-6)
+    assert np.linalg.norm(np.diff(pose(rng, -30.0, 0.7), axis=0), axis=-1).sum() == pytest.approx(LENGTH, rel=1e-6)

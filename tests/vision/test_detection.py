@@ -39,8 +39,7 @@ def test_directions_are_tangents_and_points_are_dense():
     found = errors(PLAIN, 1.3)[-1]
     line = small_rig().cameras[-1].project(smooth_curve(bow(), 200))
     nearest = np.linalg.norm(found.points[:, None] - line, axis=-1).argmin(axis=1)
-    across = (normals(line)[nearest] * found.direction).sum(axis=1)
-    assert np.median(np.abs(across)) < np.sqrt(1 - 0.999**2)
+    assert np.median(np.abs((normals(line)[nearest] * found.direction).sum(axis=1))) < np.sqrt(1 - 0.999**2)
     assert np.diff(np.sort(arc_lengths(line)[nearest])).max() < 1.15
 
 
@@ -73,8 +72,7 @@ def test_the_papers_way_is_as_exact_as_pixels():
 
 
 def test_gaps_stay_gaps():
-    options = RenderOptions(occluders=2, shading=0)
-    error, complete, false, _ = errors(options, 1.3)
+    error, complete, false, _ = errors(RenderOptions(occluders=2, shading=0), 1.3)
     assert 0.5 < complete < 0.97 and false < 0.02 and np.median(np.abs(error)) < 0.1
 
 

@@ -52,8 +52,7 @@ def test_maps_are_the_distance_to_the_nearest_piece():
 
 def test_the_valley_does_not_ripple_along_the_line():
     radius = 60.0
-    found = circle(radius)
-    maps = distance_maps([[found]], 40)
+    maps = distance_maps([[circle(radius)]], 40)
     _, left, top, width, height = maps.window[0, 0]
     x, y = np.meshgrid(np.arange(left, left + width), np.arange(top, top + height))
     exact = np.abs(np.hypot(x - 200.3, y - 170.6) - radius)

@@ -89,8 +89,7 @@ def test_threads_of_any_width(width):
 
 def test_a_region_and_a_colour():
     image, curve = drawn((wave(), RED, 6), (wave(2.2), GREEN, 12)), wave()
-    found = detect(image, DetectionOptions(colour=RED[::-1]))
-    assert shares(found.points, curve)[1] > 0.97
+    assert shares(detect(image, DetectionOptions(colour=RED[::-1])).points, curve)[1] > 0.97
     region = 100, 20, 300, 350
     for part in (detect(image, DetectionOptions(colour=RED[::-1], region=region)),
                  follow(image, tuple(curve[600]), DetectionOptions(region=region))):
@@ -134,8 +133,7 @@ def test_labels_are_a_mask_and_nothing_is_none():
     labels = np.zeros(SIZE, np.uint8)
     for label, phase in enumerate((0, 2.2), 1):
         cv2.polylines(labels, [np.rint(16 * wave(phase)).astype(int)], False, label, 7, cv2.LINE_8, 4)
-    found = detect_mask(labels)
-    assert min(shares(found.points, np.concatenate([wave(), wave(2.2)]))) > 0.97
+    assert min(shares(detect_mask(labels).points, np.concatenate([wave(), wave(2.2)]))) > 0.97
     assert detect_mask(np.zeros(SIZE, np.uint8)).count == 0 and detect_mask(np.ones(SIZE, bool)).count < 2000
     assert follow(np.full((*SIZE, 3), 90, np.uint8), (200, 200)).count == 0
 
@@ -169,9 +167,8 @@ def cables(folder, kind: str):
 @pytest.mark.parametrize("kind, recall, precision", [("simple", 0.8, 0.8), ("hard", 0.7, 0.8)])
 def test_cables_in_photographs(shared_data, kind, recall, precision):
     """Masks of this set are strokes along splines, up to a few px beside the cables."""
-    folder = shared_data / "photographs"
     found = np.array([[shares(detect_mask(mask).points, middle), shares(follow(image, click).points, middle)]
-                      for image, mask, middle, click in cables(folder, kind)]).mean(axis=0)
+                      for image, mask, middle, click in cables(shared_data / "photographs", kind)]).mean(axis=0)
     assert found[0].min() > 0.97
     assert found[1, 0] > recall and found[1, 1] > precision
 
@@ -208,8 +205,7 @@ def test_a_wide_thread_is_found_as_exactly_as_a_narrow_one(width):
 
 def test_a_needle_is_wider_than_its_thread():
     curve = wave()
-    image = grey((curve[:1700], DARK, 4), (curve[1700:], DARK, 10))
-    recall, precision = shares(detect(image).points, curve, 3.0)
+    recall, precision = shares(detect(grey((curve[:1700], DARK, 4), (curve[1700:], DARK, 10))).points, curve, 3.0)
     assert recall > 0.97 and precision > 0.98
 
 
@@ -217,8 +213,7 @@ def test_a_needle_is_wider_than_its_thread():
 def test_what_crosses_or_lies_alone_is_not_the_thread():
     """A wider line that begins at no end of the thread."""
     curve, other = wave(), np.stack([np.linspace(300, 330, 200), np.linspace(20, 380, 200)], axis=1)
-    found = detect(grey((other, DARK, 13), (curve, DARK, 4)))
-    assert (cKDTree(curve).query(found.points)[0] <= 4.0).mean() > 0.97
+    assert (cKDTree(curve).query(detect(grey((other, DARK, 13), (curve, DARK, 4))).points)[0] <= 4.0).mean() > 0.97
 
 
 @pytest.mark.thorough

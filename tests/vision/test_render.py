@@ -51,8 +51,7 @@ def test_the_nearer_strand_covers_the_farther():
     near, far = step * run - 5 * toward, step * other + 5 * toward
     pixel = tuple(np.rint(camera.project(np.zeros(3))).astype(int)[::-1])
     for tubes in ([Tube(near, 2.0, 10.0), Tube(far, 2.0, 90.0)], [Tube(far, 2.0, 90.0), Tube(near, 2.0, 10.0)]):
-        image = draw(camera, tubes, np.full((360, 480), 200.0), UP, 0.0)
-        assert image[pixel] == pytest.approx(10.0)
+        assert draw(camera, tubes, np.full((360, 480), 200.0), UP, 0.0)[pixel] == pytest.approx(10.0)
     loop = np.concatenate([near, [(near[-1] + far[-1]) / 2 + 30 * run + 30 * other], far[::-1]])
     one = draw(camera, [Tube(loop, 2.0, np.linspace(10, 90, len(loop)))], np.full((360, 480), 200.0), UP, 0.0)
     assert one[pixel] < 40

@@ -250,8 +250,7 @@ def test_curvature_of_e_back_is_that_of_finite_differences(assigned, rng):
 def test_coarse_curvature_of_e_back_is_positive_semidefinite(assigned, rng):
     found = on_device(Number(1, 64), assigned, edges(rng), coarse=1.0)
     k, ks, kss = found[:, 7:13], found[:, 13:22].reshape(-1, 3, 3), found[:, 22:28]
-    whole = np.block([[k[:, SYMMETRIC], ks], [np.swapaxes(ks, 1, 2), kss[:, SYMMETRIC]]])
-    values = np.linalg.eigvalsh(whole)
+    values = np.linalg.eigvalsh(np.block([[k[:, SYMMETRIC], ks], [np.swapaxes(ks, 1, 2), kss[:, SYMMETRIC]]]))
     assert (values[:, 0] > -1e-9 * values[:, -1]).all()
 
 

@@ -102,8 +102,7 @@ def test_opencv_s_stereo_files(tmp_path, names, coefficients):
 def test_the_size_may_be_given_and_extrinsics_lie_beside(tmp_path):
     stereo(tmp_path / "whole.yml", size=False)
     check_refused("--image-size", load_rig, tmp_path / "whole.yml")
-    text = (tmp_path / "whole.yml").read_text()
-    head, body = text.split("---\n")
+    head, body = (tmp_path / "whole.yml").read_text().split("---\n")
     at = body.index("R: ")
     (tmp_path / "intrinsics.yml").write_text(f"{head}---\n{body[:at]}")
     (tmp_path / "extrinsics.yml").write_text(f"{head}---\n{body[at:]}")
