@@ -207,8 +207,7 @@ def written_lab(folder, **changes) -> str:
 def test_a_dynamic_sweep_reports_pairs_and_jumps(capsys, tmp_path):
     argv = ["sweep", written_lab(tmp_path), *GRID, "--objective", "dynamic", "--out", str(tmp_path / "run")]
     out = succeeded(capsys, argv)
-    assert "9 cells x 4 pairs" in out and "Eq. 3" in out and "0 of 4 rods" in out
-    assert "hypotheses" not in out
+    assert "9 cells x 4 pairs" in out and "Eq. 3" in out and "0 of 4 rods" in out and "hypotheses" not in out
     summary = json.loads(succeeded(capsys, [*argv, "--json"]))
     assert (summary["objective"], summary["pairs"], summary["jumps"]["rods"]) == ("dynamic", 4, 0)
     assert (tmp_path / "run" / "pairs.csv").read_text().startswith("from,to,weight,rotation_deg\n0,4,")

@@ -28,8 +28,7 @@ def test_each_step_is_run_and_a_failure_is_reported(monkeypatch, capsys):
     assert main(["warm", "relax", "sweep", "--json"]) == 1
     found = json.loads(capsys.readouterr().out)
     assert set(found["seconds"]) == {"relax", "sweep"} and set(found["failed"]) == {"relax"}
-    assert "absent.npz" in found["failed"]["relax"]
-    assert "twist" in succeeded(capsys, ["warm", "twist"])
+    assert "absent.npz" in found["failed"]["relax"] and "twist" in succeeded(capsys, ["warm", "twist"])
 
 
 @pytest.fixture(autouse=True)
@@ -62,8 +61,7 @@ def test_for_machines_it_is_one_object_and_nothing_is_written(capsys, tmp_path, 
     monkeypatch.setattr(cases, "benchmark", lambda rods, rounds, threads: {
         "rods": rods, "rounds": rounds, "threads": threads, "rate": np.float64(np.nan)})
     found = json.loads(succeeded(capsys, ["bench", "--rods", "32", "--rounds", "2", "--threads", "1", "--json"]))
-    assert found == {"rods": 32, "rounds": 2, "threads": 1, "rate": None}
-    assert not list(tmp_path.iterdir())
+    assert found == {"rods": 32, "rounds": 2, "threads": 1, "rate": None} and not list(tmp_path.iterdir())
 
 
 WRONG = {

@@ -76,8 +76,7 @@ def test_still_frames_join_the_motion(recording, tmp_path, capsys):
     np.savez(tmp_path / "still.npz", vertices_mm=2.0 * shape, rest_length_mm=np.full(24, 25.0))
     for more in ([], ["--still-noise", "-1"]):
         assert main([*command, *more]) == 2
-    assert main([*command[:-2], "--still-noise", "1"]) == 2
-    assert capsys.readouterr().err.count("\n") == 3
+    assert main([*command[:-2], "--still-noise", "1"]) == 2 and capsys.readouterr().err.count("\n") == 3
 
 
 def test_a_recording_is_predicted_from_its_grippers(recording, theta):
@@ -85,8 +84,7 @@ def test_a_recording_is_predicted_from_its_grippers(recording, theta):
     found = made(["simulate", str(marks), "--theta", str(theta), "--out", str(recording / "predicted.npz")])
     recorded = written(marks)["positions_mm"]
     assert found["positions_mm"].shape == recorded.shape
-    assert found["status"].shape == found["error_mm"].shape == recorded.shape[:2]
-    assert not found["status"].any()
+    assert found["status"].shape == found["error_mm"].shape == recorded.shape[:2] and not found["status"].any()
     np.testing.assert_array_equal(found["positions_mm"][:, :2], recorded[:, :2])
     np.testing.assert_array_equal(found["positions_mm"][:, :, [0, 1, -2, -1]], recorded[:, :, [0, 1, -2, -1]])
     assert found["error_mm"].mean() < 0.5
@@ -164,8 +162,7 @@ def test_gaps_are_filled_only_if_asked(recording, theta, tmp_path):
     content["positions_mm"][1, 20:23, 3] = np.nan
     np.savez(tmp_path / "gaps.npz", **content)
     command = ["simulate", str(tmp_path / "gaps.npz"), "--theta", str(theta), "--out", str(tmp_path / "out.npz")]
-    assert main(command) == 2
-    assert main([*command, "--fill-gaps"]) == 0
+    assert main(command) == 2 and main([*command, "--fill-gaps"]) == 0
 
 
 @pytest.mark.parametrize(("old", "new", "field"), [

@@ -58,7 +58,6 @@ def test_twist_is_found_with_the_table(tmp_path, capsys):
     (tmp_path / "table.toml").write_text('[[obstacles]]\nkind = "plane"\npoint = [0, 0, 0]\nnormal = [0, 0, 1]\n')
     words = ["twist", str(tmp_path / "rope.npz"), "--observations", "8", "--bend", f"{truth['bend']}", "--twist",
              f"{truth['twist']}", "--obstacles", str(tmp_path / "table.toml"), "--out", str(tmp_path / "twist.npz")]
-    assert main([*words, "--radius", "2"]) == 0
-    assert abs(written(tmp_path / "twist.npz")["phi_deg"][0]) < 10.0
+    assert main([*words, "--radius", "2"]) == 0 and abs(written(tmp_path / "twist.npz")["phi_deg"][0]) < 10.0
     capsys.readouterr()
     refused(capsys, tmp_path, words, "--radius: missing beside --obstacles")

@@ -35,8 +35,7 @@ def test_picture_and_image_are_one_drawing(tmp_path):
     buffer = io.BytesIO()
     landscape_picture(buffer, runs.plane(), title="made up")
     image = landscape_image(runs.plane(), title="made up")
-    assert image.shape == (1200, 1600, 3)
-    assert image.dtype == np.uint8
+    assert image.shape == (1200, 1600, 3) and image.dtype == np.uint8
     for source in (tmp_path / "landscape.png", buffer):
         np.testing.assert_array_equal(np.asarray(Image.open(source).convert("RGB")), image)
 
@@ -97,8 +96,7 @@ def test_every_shape_of_grid_is_drawn_with_its_key_inside_the_picture(shape, emp
     figure.canvas.draw()
     width, height = figure.canvas.get_width_height()
     for box in [key.get_window_extent() for key in figure.legends] + [figure.axes[0].title.get_window_extent()]:
-        assert 0 <= box.x0 < box.x1 <= width
-        assert 0 <= box.y0 < box.y1 <= height
+        assert 0 <= box.x0 < box.x1 <= width and 0 <= box.y0 < box.y1 <= height
 
 
 def test_more_than_two_free_axes_show_the_minimum_over_the_others(rng):
@@ -109,8 +107,7 @@ def test_more_than_two_free_axes_show_the_minimum_over_the_others(rng):
     unfinished = rng.integers(0, 9, values.shape)
     plane = LandscapePlane.of(axes, values, minimum, unfinished)
     np.testing.assert_array_equal(plane.values, values[0].min(axis=(2, 3)))
-    assert plane.minimum == minimum[1:3]
-    assert plane.hidden == ("c", "d")
+    assert plane.minimum == minimum[1:3] and plane.hidden == ("c", "d")
     index = np.unravel_index(np.arange(values.size), values.shape)
     np.testing.assert_array_equal(plane.places(index), index[1:3])
     assert plane.best == tuple((axis[0], axis[1][k], "") for axis, k in zip(axes[1:], minimum[1:], strict=True))
@@ -149,9 +146,7 @@ def test_surface_leaves_out_what_was_not_evaluated():
 def test_colors_are_the_picture_s_and_never_a_colour_for_nan():
     distance = np.array([0.4, 1.0, np.nan, 9.0])
     for colors in (landscape_colors(distance, distance), distance_colors(distance)):
-        assert colors.shape == (4, 3)
-        assert colors.dtype == np.uint8
-        assert tuple(colors[2]) == GREY
+        assert colors.shape == (4, 3) and colors.dtype == np.uint8 and tuple(colors[2]) == GREY
         assert len({tuple(color) for color in colors}) == 4
     assert distance_colors(np.full(3, np.nan)).tolist() == [list(GREY)] * 3
 
@@ -160,8 +155,7 @@ def test_colors_are_the_picture_s_and_never_a_colour_for_nan():
     (0, "0"), (0.7471, "0.747"), (14.07, "14.1"), (9999.9, "10⁴"), (123456, "1.23×10⁵"), (1e6, "10⁶"),
     (3.2e-5, "3.2×10⁻⁵"), (np.nan, "nan")])
 def test_quantities_are_written_for_people(value, text):
-    assert quantity(value) == text
-    assert quantity(value, "mm") == f"{text} mm"
+    assert quantity(value) == text and quantity(value, "mm") == f"{text} mm"
 
 
 def test_stiffness_stands_above_where_the_weight_is_known():
@@ -192,8 +186,7 @@ def test_no_observation_overlaps_another(labels, rng):
     sheet = grid_view(Observed(vertices, labels))
     low, high = boxes(vertices, sheet)
     apart = ((low[:, None] > high[None]) | (low[None] > high[:, None]))[..., [0, 2]].any(axis=-1)
-    assert (apart | np.eye(len(vertices), dtype=bool)).all()
-    assert (sheet.offset[0] == 0).all()
+    assert (apart | np.eye(len(vertices), dtype=bool)).all() and (sheet.offset[0] == 0).all()
     corner = sheet.basis @ sheet.centre
     assert (low[:, [0, 2]] > corner[[0, 2]] - sheet.extent / 2).all()
     assert (high[:, [0, 2]] < corner[[0, 2]] + sheet.extent / 2).all()

@@ -76,5 +76,4 @@ def test_items_are_measured_and_reported(tmp_path, capsys):
     for name in names:
         assert f"\n## {name}\n" in text
         assert text.count(f"\n| {name} | ") >= len(CRITERIA[name])
-    assert "did not run" not in text and "1.40 / 0." in text
-    assert figure_1()[0] == {"apart": [True]}
+    assert "did not run" not in text and "1.40 / 0." in text and figure_1()[0] == {"apart": [True]}

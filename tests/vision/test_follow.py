@@ -169,8 +169,7 @@ def test_cables_in_photographs(shared_data, kind, recall, precision):
     """Masks of this set are strokes along splines, up to a few px beside the cables."""
     found = np.array([[shares(detect_mask(mask).points, middle), shares(follow(image, click).points, middle)]
                       for image, mask, middle, click in cables(shared_data / "photographs", kind)]).mean(axis=0)
-    assert found[0].min() > 0.97
-    assert found[1, 0] > recall and found[1, 1] > precision
+    assert found[0].min() > 0.97 and found[1, 0] > recall and found[1, 1] > precision
 
 
 # --- threads with glints, and needles that are wider than their threads; strands beside each other ------------------------

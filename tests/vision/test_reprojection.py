@@ -100,8 +100,7 @@ def test_an_edge_that_a_camera_does_not_see_costs_but_does_not_pull(number, scen
     begin = camera.centre + np.array([(0, 0, -20), (100, 0, 5), (0, 0, 1e-3)]) @ camera.rotation
     edges = np.column_stack([np.zeros(3), begin, begin + np.array([1e-4, 2e-4, 0]) @ camera.rotation])
     found = evaluated(number, (Rig((camera,)), rods, DistanceMaps(maps.values, maps.window[:, :1])), edges)
-    assert found[0] == pytest.approx(NU * UNSEEN, rel=1e-6)
-    assert not found[1].any() and not found[2].any()
+    assert found[0] == pytest.approx(NU * UNSEEN, rel=1e-6) and not found[1].any() and not found[2].any()
 
 
 def hypotheses(rng, rods, count):
