@@ -88,8 +88,6 @@ def test_unknown_command(capsys, tmp_path):
         refused(capsys, tmp_path, argv, word)
 
 
-# ---- outputs
-
 def test_outputs_that_cannot_be(capsys, tmp_path):
     npz_bytes(tmp_path)
     good, below = str(tmp_path / "good.npz"), str(tmp_path / "good.npz" / "deep" / "F.npz")

@@ -211,8 +211,6 @@ def test_quantities_between_moments(moments, first):
         assert 1.0 < value < 2.0 if expected is None else np.isclose(value, expected)
 
 
-# --- scenes of motion ---
-
 MOTION = """
 [rod]
 length_mm = 60.0

@@ -149,8 +149,6 @@ def test_a_plastic_rod_keeps_the_excess_as_rest_curvature(rng):
     assert off[elastic.end_distance == 42.0].min() > 0.1 and np.isfinite(off).all()
 
 
-# ---- clips whose real pose differs from the reported one: the error, its frame, and its effect on observations
-
 IDEAL = replace(ROUND, end_rotations_deg=(0.0, 90.0, 180.0), label_noise_mm=0.0)
 RIBBON = replace(IDEAL, bend=FLAT.bend, twist=FLAT.twist, frames=True)
 TILT, OFFSET = {"clip_tilt_deg": 2.0}, {"clip_offset_mm": 0.4}

@@ -124,8 +124,6 @@ def test_best_and_near_in_each_column():
     assert found.is_near.tolist() == [[False, False, False], [True, False, False], [False, False, False]]
 
 
-# --- rows and columns ------------------------------------------------------------------------------------------------------
-
 LABELS = np.tile([54.0, 30.0, 78.0], 4)
 MOVES = [(0, 3), (3, 0), (1, 4), (4, 7), (2, 5), (5, 8)]
 
@@ -190,8 +188,6 @@ def test_tables_without_being_asked(runs, factors):
 def test_runs_that_cannot_be_compared_are_reported(runs, by, distances, words):
     check_refused(re.escape(words), partition, runs, by, distances)
 
-
-# --- only cells whose rods all converged to certified minima compete ------------------------------------------------------
 
 def fooled(name: str = "nylon"):
     """Five cells of four rods, the second the best, except for the fourth, in which a rod stalled close to its observation."""

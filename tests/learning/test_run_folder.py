@@ -84,8 +84,6 @@ def test_what_was_killed_holds_nothing_and_what_it_left_half_written_goes(tmp_pa
     check_refused("another sweep", claim, tmp_path, "other", experiment)
 
 
-# --- what differs from what a sweep wrote ---------------------------------------------------------------------------------
-
 @pytest.fixture(scope="module")
 def runs(tmp_path_factory):
     folder = tmp_path_factory.mktemp("runs")
@@ -247,8 +245,6 @@ def test_an_identity_that_is_none_is_refused(copy):
     path.symlink_to("/dev/zero")
     check_refused("a device", sweep, path.parents[1], small_lab(), GRID)
 
-
-# --- sweeps among obstacles ---------------------------------------------------------------------------------------------
 
 def among(*obstacles, radius=2.0, **options) -> Experiment:
     surroundings = Surroundings(obstacles, radius) if obstacles else Surroundings()

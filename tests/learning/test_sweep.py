@@ -106,8 +106,6 @@ def test_too_large_a_grid_is_reported_before_it_starts(tmp_path, observations):
     assert not (tmp_path / "run").exists()
 
 
-# --- a dynamic sweep (Eq. 3) ----------------------------------------------------------------------------------------------
-
 def test_rows_are_what_eq_3_says(tmp_path):
     """Each row of a cell computed independently: one end carried in 48 sub-steps in f64."""
     observations, run = small_lab(), tmp_path / "run"

@@ -82,8 +82,6 @@ def test_half_a_turn_needs_a_given_direction(rng):
     terms.check_ways(terms.Pairs([0], [2], [1.0]), clamps)
 
 
-# --- unknown turns and spins ----------------------------------------------------------------------------------------------
-
 THREE = terms.Hypotheses(np.repeat(np.arange(4), 3), np.tile([-1, 0, 1], 4))
 SMALL = Grid((Axis("bend", np.geomspace(5e4, 1e7, 16)), Axis("twist_ratio", np.geomspace(0.1, 6, 16))))
 

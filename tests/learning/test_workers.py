@@ -120,9 +120,6 @@ def test_dask_that_is_not_installed(tmp_path, monkeypatch):
     assert_refused(tmp_path, "tcp://127.0.0.1:8786", r"scheduler: .*pip install 'doo_ti\[dask\]'")
 
 
-# --- processes of this machine --------------------------------------------------------------------------------------------
-
-
 def _slowly(first: int, last: int) -> int:
     if first == 3:
         time.sleep(0.5)

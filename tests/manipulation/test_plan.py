@@ -60,8 +60,6 @@ def test_slack_and_its_gradient():
         assert np.allclose(looser, slack(clamps, 300.0, stiff) + 2.0)
 
 
-# --- plans ----------------------------------------------------------------------------------------------------------------
-
 @cache
 def some() -> Tasks:
     return tasks(6, 21)

@@ -272,8 +272,6 @@ def test_options_are_checked(change):
     check_refused(next(iter(change)), PerceptionOptions, **change)
 
 
-# --- the stages of Algorithm 1 --------------------------------------------------------------------------------------------
-
 def test_directions_are_even_and_forward():
     directions = sampled_directions(200)
     np.testing.assert_allclose(np.linalg.norm(directions, axis=1), 1)

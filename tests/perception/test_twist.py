@@ -136,8 +136,6 @@ def test_total_twist_is_the_angle_between_transported_directors(made):
     assert total_twist(rod.quaternions)[0] == pytest.approx(np.sum(angles), abs=1e-12)
 
 
-# --- the 95 % intervals of Eq. 4 on simulated rods, whose twist is known --------------------------------------------------
-
 SPECIMENS = range(300, 303)
 WORLDS = {
     "ideal clips": {}, "tilted clips": {"clip_tilt_deg": 2.0, "clip_offset_mm": 0.3},

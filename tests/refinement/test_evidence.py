@@ -118,9 +118,6 @@ def test_left_out_is_the_decrease_of_the_evidence(linear_model):
         assert own[d] == pytest.approx(every - multivariate_normal(*rest[1:], allow_singular=True).logpdf(rest[0]), rel=1e-5)
 
 
-# --- the search for the sizes ---------------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("bounds", [(np.full(3, -np.inf), np.full(3, np.inf)), (np.full(3, -2.0), np.array([0.8, 2.0, 2.0]))])
 def test_the_minimum_is_that_of_scipy(bounds):
     x, hessian = minimised(lambda x: (rosen(x), rosen_der(x)), np.array([-0.5, 0.5, 0.5]), bounds, np.eye(3), 200, 1e-12)

@@ -84,8 +84,6 @@ def test_the_corrected_mesh_is_close_to_a_very_fine_one():
     assert 0.01 < before < 0.5 and after < 0.15 * before
 
 
-# --- derivatives ----------------------------------------------------------------------------------------------------------
-
 SHARP = Newton(tolerance=1e-10)
 RIBBON = Theta([[6e5, 1e5], [1e5, 3e5]], 3e5, 1.2, up=np.array([0.1, -0.05, 1.0]) / np.sqrt(1.0125))
 

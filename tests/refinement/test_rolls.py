@@ -159,8 +159,6 @@ def test_intervals_of_marks_of_others_hold_the_truth(tmp_path):
     assert np.median(np.abs(np.log(found[:, 0] / truth))) < np.log(1.05)
 
 
-# --- rods that roll freely ------------------------------------------------------------------------------------------------
-
 LENGTH, BEND, CURVATURE, NOISE = 100.0, 4e5, 0.015, 0.1
 CURVED = Theta(BEND * np.eye(2), 0.8 * BEND, 1.0, [CURVATURE, 0.0])
 

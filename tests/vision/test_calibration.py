@@ -22,8 +22,6 @@ def calibrated(seen: list[Sighting], views: int, rig: Rig = around(), board: Boa
     return calibrate(board.points, seen, sizes, views, **options)
 
 
-# ---- corners
-
 @pytest.mark.thorough
 @pytest.mark.parametrize("name", BOARDS)
 def test_rendered_boards_give_corners_and_a_rig(name, rng):
@@ -79,8 +77,6 @@ def test_centres_of_circles_in_the_board_s_order(text, upside_down):
     np.testing.assert_allclose(pixels, camera.project(board.points @ turn.T + place), atol=0.4)
 
 
-# ---- boards
-
 def test_boards_from_text():
     assert parse_board("chessboard:9x6:10") == CHESSBOARD
     board = parse_board("charuco:10x7:12.5:9:DICT_5X5_100")
@@ -98,8 +94,6 @@ def test_boards_from_text():
 def test_invalid_boards_are_refused(text, word):
     check_refused(word, parse_board, text)
 
-
-# ---- rigs
 
 def test_the_world_is_the_first_board_or_the_first_camera(rng):
     rig = around()

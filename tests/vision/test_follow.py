@@ -149,8 +149,6 @@ def test_bad_input_is_refused(call, word):
     check_refused(word, call, drawn((wave(), RED, 6)))
 
 
-# --- photographs -----------------------------------------------------------------------------------------------------
-
 def cables(folder, kind: str):
     """(picture, mask, (N, 2) px of its middle, a pixel of it that no other cable hides) of each cable."""
     for picture in sorted(folder.glob(f"{kind}_*.jpg")):
@@ -171,8 +169,6 @@ def test_cables_in_photographs(shared_data, kind, recall, precision):
                       for image, mask, middle, click in cables(shared_data / "photographs", kind)]).mean(axis=0)
     assert found[0].min() > 0.97 and found[1, 0] > recall and found[1, 1] > precision
 
-
-# --- threads with glints, and needles that are wider than their threads; strands beside each other ------------------------
 
 SCENES = Path(__file__).resolve().parents[2] / "scenes"
 DARK, WHITE = (50, 40, 60), (205, 215, 220)

@@ -181,8 +181,6 @@ def test_libraries_say_nothing_of_damaged_images(tmp_path, capfd):
     assert capfd.readouterr().err == "heard" and read_well["a.png"] and not read_well["cut.png"]
 
 
-# --- sets --------------------------------------------------------------------------------------------------------------------
-
 HEADER = "name,cam0,cam2,seed_x,seed_y,seed_z,dir_x,dir_y,dir_z\n"
 LINE = "a,a0.png,a2.png,1,2,3,0,3,4\n"
 

@@ -168,8 +168,6 @@ def test_maps_that_do_not_fit_are_refused(scene):
         check_refused(word, Reprojection, DistanceMaps(values, window), Rig(cameras), 1.0)
 
 
-# --- E_back ---------------------------------------------------------------------------------------------------------------
-
 ROWS, EDGES, PLACES, NU_BACK = 6, 4, 3, 2.5
 
 

@@ -62,8 +62,6 @@ def test_cameras_by_name():
     check_refused("no camera", around().only, ["cam7"])
 
 
-# --- rigs in the files of others ------------------------------------------------------------------------------------------
-
 MATRIX = np.array([[610.0, 0, 633], [0, 612, 471], [0, 0, 1]])
 SIZE = 1280, 960
 TURN, SHIFT = cv2.Rodrigues(np.array([0.05, -0.3, 0.02]))[0], np.array([-60.0, 3, 5])
@@ -202,8 +200,6 @@ def test_damaged_stereo_files_are_refused_in_one_line(tmp_path, spoil):
     (tmp_path / "stereo.yml").write_text(spoil((tmp_path / "stereo.yml").read_text()))
     check_refused(": ", load_rig, tmp_path / "stereo.yml")
 
-
-# --- what files leave open ------------------------------------------------------------------------------------------
 
 FLIP = np.diag([1.0, -1, -1])
 MEANT = {

@@ -32,9 +32,6 @@ def off(found: Points, points: np.ndarray, which=slice(None)) -> np.ndarray:
     return np.einsum("pi,pij,pj->p", error, np.linalg.inv(found.covariance[which]), error)
 
 
-# ---- points
-
-
 def test_it_is_the_least_squares_point(rng):
     rig, _, pixels = seen(rng, 5)
     found = triangulate(rig, pixels, SURE)
@@ -57,8 +54,6 @@ def test_a_point_does_not_depend_on_the_others(rng):
     np.testing.assert_array_equal(shuffled.status, together.status[order])
     np.testing.assert_allclose(triangulate(rig, pixels[:, 7:8], SURE).position[0], together.position[7], atol=1e-9)
 
-
-# ---- errors
 
 @pytest.mark.sampled(1)
 @pytest.mark.parametrize("cameras", [3, 4])
@@ -109,8 +104,6 @@ def test_wrong_arguments():
     for wrong in ({"sigma_px": 0.0}, {"threshold": -1.0}, {"sigma_px": np.nan}):
         check_refused(": ", TriangulationOptions, **wrong)
 
-
-# ---- ribbons
 
 WIDTH = 6.7
 
@@ -179,8 +172,6 @@ def test_an_observation_without_two_vertices_is_named(rng):
     marks.pixels[:, 2, 1:] = np.nan
     check_refused("pose 2", observed, around(), marks)
 
-
-# ---- files
 
 HEADER = "observation,camera,mark,u_px,v_px\n"
 
