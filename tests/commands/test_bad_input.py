@@ -79,7 +79,7 @@ def test_wrong_options(capsys, tmp_path, case):
     words, *expected = OPTIONS.get(case) or GRIDS[case]
     npz_bytes(tmp_path)
     command, own, out = ("relax", MATERIAL, "F.npz") if case in OPTIONS else ("sweep", [], "run")
-    refused(capsys, tmp_path, [command, str(tmp_path / "good.npz"), *own, "--out", str(tmp_path / out), *words], *expected)
+    refused(capsys, tmp_path, [command, "good.npz", *own, "--out", str(tmp_path / out), *words], *expected)
 
 
 def test_unknown_command(capsys, tmp_path):
@@ -90,7 +90,7 @@ def test_unknown_command(capsys, tmp_path):
 
 def test_outputs_that_cannot_be(capsys, tmp_path):
     npz_bytes(tmp_path)
-    good, below = str(tmp_path / "good.npz"), str(tmp_path / "good.npz" / "deep" / "F.npz")
+    good, below = "good.npz", "good.npz/deep/F.npz"
     (tmp_path / "folder.npz").mkdir()
     commands = {
         "relax": ["relax", good, *MATERIAL, "--out"], "sweep": ["sweep", good, "--bend", "1e5:1e6:3", "--out"],
@@ -104,17 +104,17 @@ def test_outputs_that_cannot_be(capsys, tmp_path):
         refused(capsys, tmp_path, [*commands[name], good], named[name], "is the input itself")
     refused(capsys, tmp_path, [*commands["sweep"], ""], "--out", "is not a folder")
     for name in ("relax", "convert", "synth"):
-        refused(capsys, tmp_path, [*commands[name], str(tmp_path / "folder.npz")], named[name], "is a folder")
-        refused(capsys, tmp_path, [*commands[name], str(tmp_path / "F.txt")], "suffix '.txt'")
+        refused(capsys, tmp_path, [*commands[name], "folder.npz"], named[name], "is a folder")
+        refused(capsys, tmp_path, [*commands[name], "F.txt"], "suffix '.txt'")
     (tmp_path / "dangling").symlink_to(tmp_path / "missing")
-    refused(capsys, tmp_path, [*commands["sweep"], str(tmp_path / "dangling" / "run")], "--out", "dangling")
+    refused(capsys, tmp_path, [*commands["sweep"], "dangling/run"], "--out", "dangling")
 
 
 def test_outputs_that_may_not_be(capsys, tmp_path, monkeypatch):
     npz_bytes(tmp_path)
     monkeypatch.setattr(os, "access", lambda path, mode: False)
-    for argv in (["relax", str(tmp_path / "good.npz"), *MATERIAL, "--out", str(tmp_path / "F.npz")],
-                 ["sweep", str(tmp_path / "good.npz"), *MATERIAL, "--out", str(tmp_path / "new" / "run")]):
+    for argv in (["relax", "good.npz", *MATERIAL, "--out", "F.npz"],
+                 ["sweep", "good.npz", *MATERIAL, "--out", "new/run"]):
         refused(capsys, tmp_path, argv, "--out", str(tmp_path), "not writable")
 
 

@@ -71,7 +71,7 @@ TABLES = {
 def test_wrong_lists_of_views(capsys, tmp_path, case):
     text, problem = TABLES[case]
     (tmp_path / "views.csv").write_text(text)
-    argv = ["calibrate", str(tmp_path / "views.csv"), "--board", TEXT, "--out", str(tmp_path / "rig.yaml")]
+    argv = ["calibrate", "views.csv", "--board", TEXT, "--out", "rig.yaml"]
     refused(capsys, tmp_path, argv, "views.csv", problem)
 
 
@@ -80,7 +80,7 @@ def test_wrong_images(capsys, tmp_path):
     for name, image in (("a.png", blank), ("b.png", blank), ("small.png", small)):
         cv2.imwrite(str(tmp_path / name), image)
     views = tmp_path / "views.csv"
-    argv = ["calibrate", str(views), "--board", TEXT, "--out", str(tmp_path / "rig.yaml")]
+    argv = ["calibrate", str(views), "--board", TEXT, "--out", "rig.yaml"]
     for second, words in (("small.png", ["small.png", "size", "320 x 240 px, but cam0's first image has 640 x 480"]),
                           ("b.png", ["views.csv", "cam0", "the board was found in 0 of its images"])):
         views.write_text(f"view,cam0,cam1\none,a.png,b.png\ntwo,{second},b.png\n")
@@ -100,7 +100,7 @@ OPTIONS = {
 @pytest.mark.parametrize("case", OPTIONS)
 def test_wrong_options(capsys, pictures, tmp_path, case):
     words, *expected = OPTIONS[case]
-    argv = ["calibrate", str(pictures / "views.csv"), "--board", TEXT, "--out", str(tmp_path / "rig.yaml"), *words]
+    argv = ["calibrate", str(pictures / "views.csv"), "--board", TEXT, "--out", "rig.yaml", *words]
     refused(capsys, tmp_path, argv, *expected)
 
 
@@ -131,8 +131,7 @@ def test_marks_become_observations(tmp_path, rng, capsys):
     (tmp_path / "labels.csv").write_text("observation,end_distance_mm,end_rotation_deg,total_twist_deg\n" + "".join(
         f"pose{d},{30 + 12 * d},{30 * d},{400 * d}\n" for d in range(3)))
     out = tmp_path / "new" / "silk.npz"
-    argv = [*prepared(tmp_path, rows), "--out", str(out), "--sigma-px", "0.3", "--labels", str(tmp_path / "labels.csv"),
-            "--up", "0,-1,0"]
+    argv = [*prepared(tmp_path, rows), "--out", str(out), "--sigma-px", "0.3", "--labels", "labels.csv", "--up", "0,-1,0"]
     written(tmp_path, [[*row, "note"] for row in rows], HEADER.replace("\n", ",remark\n"))  # a column more is no matter
     printed = succeeded(capsys, argv)
     assert "3 observations" in printed and "29 of 30" in printed
@@ -169,7 +168,7 @@ def test_two_labels_that_contradict_each_other_are_reported(tmp_path, rng, capsy
     rows = [row for row in rows_of(vertices - vertices.mean(axis=1, keepdims=True), rng) if row[1] != "cam2"]
     rows[2][4] += 60
     rows[2][3] += 60
-    argv = [*prepared(tmp_path, rows), "--out", str(tmp_path / "F.npz")]
+    argv = [*prepared(tmp_path, rows), "--out", "F.npz"]
     refused(capsys, tmp_path, argv, "no observation has positions for both 1 and 2", "--rest-length")
     printed = succeeded(capsys, [*argv, "--rest-length", "3"])
     assert re.search("contradictory .*pose0.* 2.*cam0", printed) and "cam1" in printed and "1 contradictory" in printed
@@ -180,8 +179,8 @@ def test_two_labels_that_contradict_each_other_are_reported(tmp_path, rng, capsy
 
 def test_wrong_options_of_triangulate(capsys, tmp_path):
     argv = prepared(tmp_path, good_rows())
-    refused(capsys, tmp_path, [*argv, "--out", str(tmp_path / "marks.csv")], "--out", "the input itself")
-    refused(capsys, tmp_path, [*argv, "--out", str(tmp_path / "F.npz"), "--threshold", "-1"], "threshold", "positive")
+    refused(capsys, tmp_path, [*argv, "--out", "marks.csv"], "--out", "the input itself")
+    refused(capsys, tmp_path, [*argv, "--out", "F.npz", "--threshold", "-1"], "threshold", "positive")
 
 
 @pytest.mark.parametrize("spoil, option", [
@@ -190,7 +189,7 @@ def test_wrong_options_of_triangulate(capsys, tmp_path):
 def test_a_rig_in_metres_or_of_poses_in_the_world_is_recognised(capsys, tmp_path, rng, spoil, option):
     vertices = wavy_vertices(rng, count=2, marks=8)
     rows = rows_of(vertices - vertices.mean(axis=1, keepdims=True), rng)
-    argv = [*prepared(tmp_path, rows), "--out", str(tmp_path / "F.npz")]
+    argv = [*prepared(tmp_path, rows), "--out", "F.npz"]
     cameras = []
     for camera in RIG.cameras:
         rotation, translation = spoil(camera)

@@ -75,8 +75,8 @@ def ribbon(folder: Path) -> None:
 
 def test_sweep_of_a_file(capsys, tmp_path, swept):
     ribbon(tmp_path)
-    argv = ["sweep", str(tmp_path / "good.npz"), "--bend", "1e5:1e7:3", "--twist-ratio", "0.5:2:2", "--out",
-            str(tmp_path / "new" / "run"), "--clamp-end", "tangent", "--up", "-1,0,0", "--workers", "2",
+    argv = ["sweep", "good.npz", "--bend", "1e5:1e7:3", "--twist-ratio", "0.5:2:2", "--out",
+            "new/run", "--clamp-end", "tangent", "--up", "-1,0,0", "--workers", "2",
             "--frame-weight", "1"]
     assert main(argv) == 0
     (run, observations, grid, options, command), = swept
@@ -94,20 +94,20 @@ def test_sweep_of_a_file(capsys, tmp_path, swept):
 def test_sweep_of_several_sources(capsys, tmp_path, swept):
     ribbon(tmp_path)
     (tmp_path / "scene.toml").write_text(SCENE)
-    sources = [str(tmp_path / "good.npz"), str(tmp_path / "scene.toml")]
-    argv = ["sweep", *sources, "--bend", "1e5:1e7:3", "--out", str(tmp_path / "runs")]
+    sources = ["good.npz", "scene.toml"]
+    argv = ["sweep", *sources, "--bend", "1e5:1e7:3", "--out", "runs"]
     assert main(argv) == 0
     assert [call[0] for call in swept] == [tmp_path / "runs" / "good", tmp_path / "runs" / "silk"]
     out = capsys.readouterr().out
     assert "100 rods in" in out and "0.4 s to load" in out and "100 rods/s" in out
-    assert len(json.loads(succeeded(capsys, [*argv[:-1], str(tmp_path / "again"), "--json"]))) == 2
+    assert len(json.loads(succeeded(capsys, [*argv[:-1], "again", "--json"]))) == 2
     refused(capsys, tmp_path, ["sweep", sources[0], *argv[1:]], "two of the name 'good'")
 
 
 def test_sweep_of_a_scene_and_what_overrides_it(capsys, tmp_path, swept):
     ribbon(tmp_path)
     (tmp_path / "scene.toml").write_text(SCENE)
-    argv = ["sweep", str(tmp_path / "scene.toml"), "--out", str(tmp_path / "run")]
+    argv = ["sweep", "scene.toml", "--out", "run"]
     assert main(argv) == 0
     _, observations, grid, options, _ = swept[0]
     assert observations.name == "silk" and grid.shape == (3, 1, 1)
@@ -115,7 +115,7 @@ def test_sweep_of_a_scene_and_what_overrides_it(capsys, tmp_path, swept):
     more = ["--bend-1", "2e5", "--bend-2", "1e5:2e5:4", "--twist", "3e5", "--precision", "mixed", "--clamp-start",
             "position", "--frame-weight", "0", "--json"]
     capsys.readouterr()
-    assert main([*argv[:-1], str(tmp_path / "other"), *more]) == 0
+    assert main([*argv[:-1], "other", *more]) == 0
     _, _, grid, options, _ = swept[1]
     assert [axis.name for axis in grid.varying] == ["bend_2"] and grid.cell_values()["twist"][0] == 3e5
     assert (options.clamp_start, options.frame_weight, options.precision) == (Clamp.POSITION, 0.0, "mixed")
@@ -163,7 +163,7 @@ def test_a_command_that_is_stopped_says_whether_it_starts_from_the_beginning(cap
 def test_relax_writes_every_key(capsys, tmp_path):
     npz_bytes(tmp_path)
     out = tmp_path / "new" / "F.npz"
-    argv = ["relax", str(tmp_path / "good.npz"), *MATERIAL, "--out", str(out)]
+    argv = ["relax", "good.npz", *MATERIAL, "--out", str(out)]
     text = succeeded(capsys, argv)
     assert "3 rods of 8 edges" in text and str(out) in text
     found = written(out)
@@ -190,8 +190,7 @@ def test_relax_picks_the_turn_that_was_seen(tmp_path):
     keys = {"vertices_mm": known.vertices, "rest_length_mm": known.rest_length, "start_frame": known.start_frame,
             "end_frame": known.end_frame}
     np.savez(tmp_path / "unknown.npz", **keys)
-    good, unknown = (made(["relax", str(tmp_path / f"{name}.npz"), *MATERIAL, "--out", str(tmp_path / "F.npz")])
-                     for name in ("good", "unknown"))
+    good, unknown = (made(["relax", f"{name}.npz", *MATERIAL, "--out", "F.npz"]) for name in ("good", "unknown"))
     assert (unknown["distance_mm"] <= good["distance_mm"] + 1e-9).all()
 
 
@@ -205,7 +204,7 @@ def written_lab(folder, **changes) -> str:
 
 @pytest.mark.thorough
 def test_a_dynamic_sweep_reports_pairs_and_jumps(capsys, tmp_path):
-    argv = ["sweep", written_lab(tmp_path), *GRID, "--objective", "dynamic", "--out", str(tmp_path / "run")]
+    argv = ["sweep", written_lab(tmp_path), *GRID, "--objective", "dynamic", "--out", "run"]
     out = succeeded(capsys, argv)
     assert "9 cells x 4 pairs" in out and "Eq. 3" in out and "0 of 4 rods" in out and "hypotheses" not in out
     summary = json.loads(succeeded(capsys, [*argv, "--json"]))
@@ -220,24 +219,24 @@ def test_pairs_of_a_file_and_of_a_scene(capsys, tmp_path):
     scene = tmp_path / "scene.toml"
     scene.write_text('objective = "dynamic"\npairs = "pairs.csv"\n[observations]\nfile = "lab.npz"\n'
                      '[grid]\nbend = "2e5:8e5:3"\n')
-    assert "3 cells x 2 pairs" in succeeded(capsys, ["sweep", str(scene), "--out", str(tmp_path / "scene")])
-    assert main(["sweep", str(scene), "--objective", "static", "--out", str(tmp_path / "static")]) == 0
+    assert "3 cells x 2 pairs" in succeeded(capsys, ["sweep", str(scene), "--out", "scene"])
+    assert main(["sweep", str(scene), "--objective", "static", "--out", "static"]) == 0
     assert "3 cells x 6 observations" in capsys.readouterr().out
     (tmp_path / "other.csv").write_text("from,to\n3,5\n")
-    assert main(["sweep", str(scene), "--pairs", str(tmp_path / "other.csv"), "--out", str(tmp_path / "other")]) == 0
+    assert main(["sweep", str(scene), "--pairs", "other.csv", "--out", "other"]) == 0
     assert "3 cells x 1 pairs" in capsys.readouterr().out
 
 
 @pytest.mark.thorough
 def test_settled_hypotheses_are_reported(capsys, tmp_path):
     named = [f"trial {d}" for d in range(6)]
-    argv = ["sweep", written_lab(tmp_path, total_twist=None, labels=named), *GRID, "--out", str(tmp_path / "run")]
+    argv = ["sweep", written_lab(tmp_path, total_twist=None, labels=named), *GRID, "--out", "run"]
     out = succeeded(capsys, argv)
     assert re.search(r"hypotheses +18\b.*\b6 observations.*\b0\b", out)
     unknown = written_lab(tmp_path, total_twist=None, end_frame=None)
-    out = succeeded(capsys, ["sweep", unknown, *GRID, "--spins", "6", "--out", str(tmp_path / "spins")])
+    out = succeeded(capsys, ["sweep", unknown, *GRID, "--spins", "6", "--out", "spins"])
     assert "hypotheses  108;" in out and "twist is not determined" not in out
-    assert "twist is not" in succeeded(capsys, ["sweep", unknown, *GRID, "--out", str(tmp_path / "free")])
+    assert "twist is not" in succeeded(capsys, ["sweep", unknown, *GRID, "--out", "free"])
 
 
 @pytest.mark.parametrize("words, expected", [
@@ -248,4 +247,4 @@ def test_settled_hypotheses_are_reported(capsys, tmp_path):
     (["--spins", "12"], ["lab.npz", "spins", "no end is held by its tangent alone"])])
 def test_what_makes_no_sense_is_refused(capsys, tmp_path, monkeypatch, words, expected):
     monkeypatch.chdir(tmp_path)
-    refused(capsys, tmp_path, ["sweep", written_lab(tmp_path), *GRID, "--out", str(tmp_path / "run"), *words], *expected)
+    refused(capsys, tmp_path, ["sweep", written_lab(tmp_path), *GRID, "--out", "run", *words], *expected)

@@ -67,7 +67,7 @@ start = [9, -40, -9]
 end = [9, 40, -9]
 radius = 16
 """)
-    assert main([command, str(file), "--out", str(tmp_path / "f.npz")]) == 1
+    assert main([command, str(file), "--out", "f.npz"]) == 1
     assert all(words in said[0] for words in ("edges of 20 mm", "give 12 edges", str(file)))
 
 
@@ -93,7 +93,7 @@ def folder(tmp_path_factory):
 
 def test_relax_writes_forces_and_gaps_and_counts_infeasible_rods(folder, tmp_path, capsys):
     words = ["relax", str(folder / "rods.npz"), *MATERIAL, "--obstacles", str(folder / "table.toml"), "--radius", "2"]
-    found = made([*words, "--out", str(tmp_path / "f.npz")])
+    found = made([*words, "--out", "f.npz"])
     printed, warned = capsys.readouterr()
     assert "inside an obstacle" in warned and "contact     2 of 4 rods touch an obstacle; smallest gap " in printed
     assert "mm; 1 infeasible" in printed and "3 converged, 1 infeasible" in printed
@@ -102,15 +102,15 @@ def test_relax_writes_forces_and_gaps_and_counts_infeasible_rods(folder, tmp_pat
     assert np.isnan(found["distance_mm"]).tolist() == [False, False, True, False]
     assert (found["contact_force"][[0, 3], :, 2].max(axis=1) > 1).all() and not found["contact_force"][[1, 2]].any()
     assert abs(found["smallest_gap_mm"][0]) < 5e-4 and found["smallest_gap_mm"][1] > 10
-    summary = json.loads(succeeded(capsys, [*words, "--out", str(tmp_path / "f.npz"), "--json"]))["contact"]
+    summary = json.loads(succeeded(capsys, [*words, "--out", "f.npz", "--json"]))["contact"]
     assert summary["touching"] == 2 and summary["infeasible"] == 1 and abs(summary["smallest_gap_mm"]) < 5e-4
 
 
 @pytest.mark.parametrize("table", ["table.toml", pytest.param("rough.toml", marks=pytest.mark.slow)])
 def test_predict_carries_rods_over_a_table(folder, tmp_path, capsys, table):
     words = ["predict", str(folder / "low.npz"), "--motion", str(folder / "move.npz"), *MATERIAL, "--obstacles",
-             str(folder / table), "--radius", "2", "--out", str(tmp_path / "f.npz")]
-    printed = succeeded(capsys, [*words, "--picture", str(tmp_path / "f.png"), "--recording", str(tmp_path / "f.rrd")])
+             str(folder / table), "--radius", "2", "--out", "f.npz"]
+    printed = succeeded(capsys, [*words, "--picture", "f.png", "--recording", "f.rrd"])
     assert "contact     1 of 1 rods touch" in printed and ("quasi-static steps" in printed) == (table == "rough.toml")
     found = written(tmp_path / "f.npz")
     assert found["followed"].all() and found["time_s"].tolist() == [0, 1, 3]

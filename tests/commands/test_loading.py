@@ -28,19 +28,18 @@ def metres(tmp_path):
 
 
 def test_metres_taken_for_millimetres_are_warned_of(tmp_path, metres, capfd):
-    assert main(["convert", str(metres), str(tmp_path / "out.npz"), "--columns",
-                 "observation=shot,vertex=marker,x=east,y=height,z=north"]) == 0
+    assert main(["convert", str(metres), "out.npz", "--columns", "observation=shot,vertex=marker,x=east,y=height,z=north"]) == 0
     printed = capfd.readouterr().err
     assert "warning" in printed and "--unit m" in printed and str(metres) in printed
     np.savez(tmp_path / "large.npz", vertices_mm=1e4 * MARKS)
-    assert main(["convert", str(tmp_path / "large.npz"), str(tmp_path / "out.npz")]) == 0
+    assert main(["convert", "large.npz", "out.npz"]) == 0
     assert "warning" in capfd.readouterr().err
 
 
 def test_several_rods_taken_for_one_are_warned_of(tmp_path, metres, capfd):
     marks = MARKS + np.arange(len(MARKS))[:, None, None] * (0, 0, 9000.0)
     (tmp_path / "x.csv").write_text(table(marks.reshape(1, -1, 3), "x,y,z", number=False))
-    assert main(["convert", str(tmp_path / "x.csv"), str(tmp_path / "out.npz")]) == 0
+    assert main(["convert", "x.csv", "out.npz"]) == 0
     assert "--columns observation=NAME" in capfd.readouterr().err
 
 
@@ -48,7 +47,7 @@ def test_columns_that_are_swapped_are_warned_of(tmp_path, capfd):
     """Marks of many poses, each taken for a pose of many marks."""
     poses = np.random.default_rng(0).normal(0, 30, (8, 1, 3)) + np.linspace(0, 200, 12)[:, None] * (1.0, 0, 0)
     (tmp_path / "x.csv").write_text(table(poses, "observation,vertex,x,y,z"))
-    words = ["convert", str(tmp_path / "x.csv"), str(tmp_path / "out.npz")]
+    words = ["convert", "x.csv", "out.npz"]
     assert main(words) == 0 and capfd.readouterr().err == ""
     assert main([*words, "--columns", "observation=vertex,vertex=observation"]) == 0
     assert "observation and vertex swapped" in capfd.readouterr().err
@@ -66,14 +65,14 @@ def test_masses_and_stiffnesses_of_no_rod_are_warned_of(tmp_path, capfd, density
 def test_columns_that_others_call_otherwise_are_asked_for(tmp_path, capfd):
     """A table of poses and marks is not one rod with all of its marks."""
     (tmp_path / "x.csv").write_text(table(MARKS, "Pose,mark,x,y,z"))
-    words = ["convert", str(tmp_path / "x.csv"), str(tmp_path / "out.npz")]
+    words = ["convert", "x.csv", "out.npz"]
     refused(capfd, tmp_path, words, "give --columns observation=Pose,vertex=mark")
     assert main([*words, "--columns", "observation=Pose,vertex=mark"]) == 0
     assert load_observations(tmp_path / "out.npz").count == len(MARKS)
 
 
 def test_lengths_that_the_marks_contradict_are_refused(tmp_path, metres, capfd):
-    words = ["convert", str(metres), str(tmp_path / "out.npz"), "--unit", "m", "--columns",
+    words = ["convert", str(metres), "out.npz", "--unit", "m", "--columns",
              "observation=shot,vertex=marker,x=east,y=height,z=north", "--rest-length"]
     refused(capfd, tmp_path, [*words, "300"], "--rest-length: 300 mm, but arcs through the marks are")
     assert main([*words, "110"]) == 0
@@ -141,11 +140,11 @@ def test_motion_capture_as_motion_and_as_observations(tmp_path, capfd):
     seen = np.concatenate([MARKS] * 5)
     seen[3, 1] = np.nan
     (tmp_path / "take.csv").write_text(motive(seen / 1000, "Meters"))
-    assert "0,1,0" in succeeded(capfd, ["convert", str(tmp_path / "take.csv"), str(tmp_path / "motion.npz"), "--motion"])
+    assert "0,1,0" in succeeded(capfd, ["convert", "take.csv", "motion.npz", "--motion"])
     found = written(tmp_path / "motion.npz")
     np.testing.assert_allclose(found["positions_mm"], seen)
     assert found["rate_hz"] == 120.0 and found["up"].tolist() == [0, 1, 0]
-    assert main(["convert", str(tmp_path / "take.csv"), str(tmp_path / "marks.csv"), "--select", "1:10:2", "--complete"]) == 0
+    assert main(["convert", "take.csv", "marks.csv", "--select", "1:10:2", "--complete"]) == 0
     np.testing.assert_allclose(load_observations(tmp_path / "marks.csv").vertices, seen[[1, 5, 7, 9]])
 
 
@@ -166,7 +165,7 @@ def test_observations_without_marks_and_outer_marks_are_left_out(tmp_path, capfd
 
 
 def test_marks_whose_frames_would_be_lost_stay(tmp_path, shipped_data, capfd):
-    words = ["convert", str(shipped_data / "lab_a" / "vicryl.npz"), str(tmp_path / "marks.npz"), "--marks"]
+    words = ["convert", str(shipped_data / "lab_a" / "vicryl.npz"), "marks.npz", "--marks"]
     refused(capfd, tmp_path, [*words, "2:-2"], "start_frame")
     assert main([*words, "::3"]) == 0
     whole, part = load_observations(words[1]), load_observations(words[2])
@@ -177,7 +176,7 @@ def test_marks_whose_frames_would_be_lost_stay(tmp_path, shipped_data, capfd):
 def test_relax_prints_what_it_loaded(tmp_path, capfd):
     marks = np.stack([np.linspace(0, 0.09, 12), np.zeros(12), 0.01 * np.sin(np.linspace(0, np.pi, 12))], axis=-1)
     (tmp_path / "x.csv").write_text(table(marks[None], "observation,vertex,x,y,z"))
-    words = ["relax", str(tmp_path / "x.csv"), "--unit", "m", "--bend", "1e6", "--out", str(tmp_path / "f.npz")]
+    words = ["relax", "x.csv", "--unit", "m", "--bend", "1e6", "--out", "f.npz"]
     assert "1 observation of 12 marks" in succeeded(capfd, words) and main([*words, "--json"]) == 0
     printed = capfd.readouterr()
     assert json.loads(printed.out)["observations"] == 1 and printed.err == ""
@@ -189,20 +188,20 @@ def test_relax_prints_what_it_loaded(tmp_path, capfd):
     ["--select", "5:6"], ["--marks", "1:2"], ["--marks", "3"], ["--motion"]])
 def test_wrong_options_write_nothing(tmp_path, metres, capfd, words):
     words = ["--columns", "x=east,y=height,z=north", *words]
-    refused(capfd, tmp_path, ["convert", str(metres), str(tmp_path / "out.npz"), *words])
+    refused(capfd, tmp_path, ["convert", str(metres), "out.npz", *words])
 
 
 @pytest.mark.thorough
 def test_results_as_csv(tmp_path, shipped_data):
     """The same numbers as in the npz, for a program without NumPy."""
-    marks = str(tmp_path / "marks.npz")
+    marks = "marks.npz"
     assert main(["convert", str(shipped_data / "lab_a" / "vicryl.npz"), marks, "--select", "0,1"]) == 0
     (tmp_path / "path.csv").write_text("time_s,end_rotation_deg\n0,0\n1,20\n")
     material = ["--bend", "6e5", "--twist", "8e5"]
-    commands = {"relax": [], "predict": ["--motion", str(tmp_path / "path.csv")], "twist": []}
+    commands = {"relax": [], "predict": ["--motion", "path.csv"], "twist": []}
     for name, more in commands.items():
         for suffix in ("npz", "csv"):
-            assert main([name, marks, *more, *material, "--out", str(tmp_path / f"{name}.{suffix}")]) == 0
+            assert main([name, marks, *more, *material, "--out", f"{name}.{suffix}"]) == 0
     found = {name: written(tmp_path / f"{name}.npz") for name in commands}
     np.testing.assert_array_equal(load_observations(tmp_path / "relax.csv").vertices, found["relax"]["vertices_mm"])
     head, *lines = (tmp_path / "predict.csv").read_text().splitlines()
@@ -219,14 +218,14 @@ def test_a_finer_mesh_lies_on_the_curve_through_the_marks(tmp_path, capsys):
     rows = np.searchsorted(arc, np.linspace(0, arc[-1], 11)).clip(0, 2000)
     vertices = curve[rows]
     vertices[4] = np.nan
-    source = str(tmp_path / "marks.npz")
+    source = "marks.npz"
     np.savez(source, vertices_mm=vertices[None], rest_length_mm=np.diff(arc[rows]))
-    assert "61 vertices" in succeeded(capsys, ["convert", source, str(tmp_path / "fine.npz"), "--edges", "60"])
+    assert "61 vertices" in succeeded(capsys, ["convert", source, "fine.npz", "--edges", "60"])
     fine = load_observations(tmp_path / "fine.npz")
     assert fine.edges == 60 and fine.valid.all() and np.ptp(fine.rest_length) < 1e-9
     assert np.linalg.norm(fine.vertices[0][:, None] - curve, axis=-1).min(axis=1).max() < 1.0
-    assert main(["convert", source, str(tmp_path / "no.npz"), "--edges", "1"]) == 2
-    assert main(["convert", source, str(tmp_path / "no.npz"), "--edges", "9", "--motion"]) == 2
+    assert main(["convert", source, "no.npz", "--edges", "1"]) == 2
+    assert main(["convert", source, "no.npz", "--edges", "9", "--motion"]) == 2
 
 
 @pytest.fixture
@@ -249,11 +248,11 @@ def test_frames_and_markers_are_chosen(take, tmp_path, capsys):
     (["--select", "5:5"], "positions_mm: none is left"), (["--complete"], "--complete: given with --motion"),
     (["--rest-length", "100"], "--rest-length: given with --motion"), (["--edges", "9"], "--edges: given with --motion")])
 def test_what_a_motion_cannot_have_is_refused(words, named, take, tmp_path, capsys):
-    refused(capsys, tmp_path, ["convert", take, str(tmp_path / "out.npz"), "--motion", *words], named)
+    refused(capsys, tmp_path, ["convert", take, "out.npz", "--motion", *words], named)
 
 
 def test_a_recording_that_states_no_rate_needs_one(tmp_path, capsys):
     (tmp_path / "take.csv").write_text(motive(MARKS / 1000, "Meters").replace("Export Frame Rate,120.000000,", ""))
-    words = ["convert", str(tmp_path / "take.csv"), str(tmp_path / "out.npz"), "--motion"]
+    words = ["convert", "take.csv", "out.npz", "--motion"]
     assert main(words) == 2 and "states no frames per second" in capsys.readouterr().err
     assert main([*words, "--rate", "50"]) == 0 and read_recording(tmp_path / "out.npz").rate == 50.0

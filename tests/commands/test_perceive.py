@@ -98,10 +98,10 @@ def test_rods_begun_by_clicks_end_where_the_thread_ends(photographed, tmp_path, 
         images = ",".join(str(folder / f"{name}_cam{index}.png") for index in range(3))
         lines.append(f"{name},{images},{',,' * camera}{u:.0f},{v:.0f}{',,' * (1 - camera)}")
     (tmp_path / "sets.csv").write_text("\n".join(lines) + "\n")
-    words = ["perceive", "--rig", str(folder / "rig.yaml"), "--sets", str(tmp_path / "sets.csv"), *MATERIAL[:6], "--out",
-             str(tmp_path / "rods.npz"), "--no-picture", "--no-recording"]
+    words = ["perceive", "--rig", str(folder / "rig.yaml"), "--sets", "sets.csv", *MATERIAL[:6], "--out",
+             "rods.npz", "--no-picture", "--no-recording"]
     assert main(words) == 0
-    assert main(["convert", str(tmp_path / "rods.npz"), str(tmp_path / "marks.npz"), "--marks", "2:-2", "--complete"]) == 0
+    assert main(["convert", "rods.npz", "marks.npz", "--marks", "2:-2", "--complete"]) == 0
     found = load_observations(tmp_path / "marks.npz")
     assert found.count == 2 and found.edges == 29
     assert abs(found.rest_length.sum() / 29 * 33 / (3 * EDGES) - 1) < 0.05
@@ -118,15 +118,15 @@ def test_sets_without_a_rod_do_not_end_the_others(photographed, perceived, tmp_p
     folder, rods = photographed
     u, v = load_rig(folder / "rig.yaml").cameras[0].project(rods[1][:1])[0]
     images = [[str(folder / f"{name}_cam{index}.png") for index in range(3)] for name in ("first", "second")]
-    cv2.imwrite(str(tmp_path / "blank.png"), np.full((480, 640), 255, dtype=np.uint8))
+    cv2.imwrite("blank.png", np.full((480, 640), 255, dtype=np.uint8))
     rows = [["beside", *images[0], "9", "9"], ["second", *images[1], f"{u:.0f}", f"{v:.0f}"],
-            ["blank", *images[1][:2], str(tmp_path / "blank.png"), f"{u:.0f}", f"{v:.0f}"]]
+            ["blank", *images[1][:2], "blank.png", f"{u:.0f}", f"{v:.0f}"]]
     found, text = {}, {}
     for name, kept in (("all", rows), ("one", rows[1:2])):
         sets = tmp_path / f"{name}.csv"
         sets.write_text("\n".join(["name,cam0,cam1,cam2,cam0_u,cam0_v", *map(",".join, kept)]) + "\n")
         words = ["perceive", "--rig", str(folder / "rig.yaml"), "--sets", str(sets), *MATERIAL[:6], "--no-recording"]
-        text[name] = succeeded(capsys, [*words, "--out", str(tmp_path / f"{name}.npz")])
+        text[name] = succeeded(capsys, [*words, "--out", f"{name}.npz"])
         found[name] = written(tmp_path / f"{name}.npz")
     assert all(part in text["all"] for part in ("beside  no rod: ", "nothing was detected", "blank.png: image: no thread"))
     every, one = found["all"], found["one"]
@@ -138,8 +138,8 @@ def test_sets_without_a_rod_do_not_end_the_others(photographed, perceived, tmp_p
 def test_stiffness_need_not_be_known(photographed, perceived, tmp_path, capsys):
     folder, rods = photographed
     np.savez(tmp_path / "truth.npz", vertices_mm=rods[:1] / 1000)
-    argv = [*of_images(folder, rods[0], "--out", str(tmp_path / "one.csv"), "--no-picture", "--no-recording"),
-            "--truth", str(tmp_path / "truth.npz"), "--unit", "m"]
+    argv = [*of_images(folder, rods[0], "--out", "one.csv", "--no-picture", "--no-recording"),
+            "--truth", "truth.npz", "--unit", "m"]
     for name in ("--bend", "--twist", "--weight"):
         del argv[argv.index(name) : argv.index(name) + 2]
     assert main(argv) == 0
@@ -154,7 +154,7 @@ def test_stiffness_need_not_be_known(photographed, perceived, tmp_path, capsys):
 def test_a_seed_and_a_wrong_length(photographed, tmp_path, capsys):
     """The rod is not clear; without a click nothing is compared from one."""
     folder, rods = photographed
-    argv = of_images(folder, rods[0], "--out", str(tmp_path / "f.npz"), "--no-picture", "--no-recording")
+    argv = of_images(folder, rods[0], "--out", "f.npz", "--no-picture", "--no-recording")
     argv[argv.index("--rest-length") + 1] = f"3:{EDGES - 6}"
     assert main(argv) == 0 and "not clear" in capsys.readouterr().out
 
@@ -168,27 +168,27 @@ def test_a_click_and_no_length(photographed, tmp_path, capsys):
     images = [str(folder / f"first_cam{index}.png") for index in range(3)]
     argv = ["perceive", *images, "--rig", str(folder / "rig.yaml"), "--seed-pixel", f"cam1:{click[0]:.1f},{click[1]:.1f}",
             "--edge", "3", "--no-picture", "--no-recording", "--json"]
-    printed = json.loads(succeeded(capsys, [*argv, "--out", str(tmp_path / "f.npz")]))["sets"][0]
+    printed = json.loads(succeeded(capsys, [*argv, "--out", "f.npz"]))["sets"][0]
     found = written(tmp_path / "f.npz")
     assert np.linalg.norm(found["vertices_mm"][0][0] - rods[0][0]) < 1.2
     assert found["rest_length_mm"].sum() == pytest.approx(length, rel=0.05)
     assert np.allclose(found["rest_length_mm"], 3.0, rtol=0.05)
     assert printed["name"] == "first_cam0" and min(printed["coverage"]) > 0.97 and printed["left_over_mm"] < 1.0
     # A rod of a third less: what is left over is said.
-    assert main([*argv[:-1], "--length", "28", "--out", str(tmp_path / "g.npz")]) == 0
+    assert main([*argv[:-1], "--length", "28", "--out", "g.npz"]) == 0
     assert written(tmp_path / "g.npz")["left_over_mm"][0] == pytest.approx(length - 28, abs=3.0)
     said = capsys.readouterr().out
     assert "of thread left over" in said and "28 to 28 mm at a bound" in said
     middle = rig.cameras[1].project(rods[0][[EDGES // 2]])[0]
     place = argv.index("--seed-pixel") + 1
-    main([*argv[:place], f"cam1:{middle[0]:.0f},{middle[1]:.0f}", *argv[place + 1 : -1], "--out", str(tmp_path / "h.npz")])
+    main([*argv[:place], f"cam1:{middle[0]:.0f},{middle[1]:.0f}", *argv[place + 1 : -1], "--out", "h.npz"])
     assert "begins within the thread" in capsys.readouterr().err
     for change, words in ((["--seed-pixel", "cam9:1,2"], ("cam9", "cam0, cam1, cam2")), (["--length", "9:5"], ("--length",)),
                           (["--seed-pixel", "cam1:1,2"], ("given twice for cam1",)),
                           (["--rest-length", "3:14"], ("--edge", "--rest-length")),
                           (["--seed-point", "0,0,0"], ("--seed-point",)),
                           (["--seed-pixel", "cam0:3,3"], ("--seed-pixel", "px away"))):
-        refused(capsys, tmp_path, [*argv, *change, "--out", str(tmp_path / "new" / "f.npz")], *words)
+        refused(capsys, tmp_path, [*argv, *change, "--out", "new/f.npz"], *words)
 
 
 @pytest.mark.parametrize("change, words", [
@@ -201,14 +201,14 @@ def test_a_click_and_no_length(photographed, tmp_path, capsys):
     (["--region", "cam7:0,0,50,50"], ("--region", "cam7")), (["--region", "cam0:0,0,5,50"], ("region",)),
     (["--masks", "a.png"], ("--masks",)), (["--image-size", "3"], ("--image-size",))])
 def test_wrong_options_are_reported(photographed, tmp_path, capsys, change, words):
-    refused(capsys, tmp_path, of_sets(photographed[0], "--out", str(tmp_path / "new" / "f.npz"), *change), *words)
+    refused(capsys, tmp_path, of_sets(photographed[0], "--out", "new/f.npz", *change), *words)
 
 
 def test_wrong_images_are_reported(photographed, tmp_path, capsys):
     folder, rods = photographed
-    blank = str(tmp_path / "blank.png")
+    blank = "blank.png"
     cv2.imwrite(blank, np.full((480, 640), 150, dtype=np.uint8))
-    argv = of_images(folder, rods[0], "--out", str(tmp_path / "new" / "f.npz"))
+    argv = of_images(folder, rods[0], "--out", "new/f.npz")
     for image, words in ((blank, ("blank.png", "no thread was found")), ("missing.png", ("missing.png", "no such file"))):
         refused(capsys, tmp_path, [*argv[:2], image, *argv[3:]], *words)
     refused(capsys, tmp_path, [*argv[:2], *argv[3:]], "2 images", "3 cameras", "cam0, cam1, cam2")
@@ -226,12 +226,12 @@ def test_no_input_is_overwritten(photographed, capsys):
 def test_wrong_rigs_seeds_and_truths_are_reported(photographed, tmp_path, capsys):
     folder, rods = photographed
     rig = load_rig(folder / "rig.yaml")
-    out = ["--out", str(tmp_path / "new" / "f.npz")]
+    out = ["--out", "new/f.npz"]
     argv = of_images(folder, rods[0], *out)
     argv[argv.index("--seed-point") + 1] = ",".join(map(str, 2 * rig.cameras[0].centre))
     refused(capsys, tmp_path, argv, "behind cam0")
     save_rig(tmp_path / "one.yaml", Rig(rig.cameras[:1]))
-    refused(capsys, tmp_path, ["perceive", str(folder / "first_cam0.png"), "--rig", str(tmp_path / "one.yaml"), "--seed-pixel",
+    refused(capsys, tmp_path, ["perceive", str(folder / "first_cam0.png"), "--rig", "one.yaml", "--seed-pixel",
                                "cam0:100,100", *MATERIAL, *out], "one camera", "--seed-point")
     truth = tmp_path / "truth.npz"
     for keys, said in (({"vertices_mm": rods, "name": np.array(["first", "third"])}, "second"),
@@ -250,6 +250,6 @@ def test_one_mask_is_not_taken_for_two_cameras(photographed, tmp_path, capsys):
         shutil.copyfile(folder / one.get(place, "first_cam0.png"), tmp_path / place / "first.png")
     one |= {camera: f"{camera}/first.png" for camera in ("cam0", "cam1", "cam2")}
     (tmp_path / "sets.csv").write_text(f"{','.join(one)}\n{','.join(one.values())}\n")
-    argv = of_sets(folder, "--out", str(tmp_path / "new" / "f.npz"), "--masks", str(tmp_path / "masks"))
-    argv[argv.index("--sets") + 1] = str(tmp_path / "sets.csv")
+    argv = of_sets(folder, "--out", "new/f.npz", "--masks", "masks")
+    argv[argv.index("--sets") + 1] = "sets.csv"
     refused(capsys, tmp_path, argv, "masks", "several cameras")

@@ -28,7 +28,7 @@ def scene(tmp_path):
 
 
 def test_a_scene(scene, tmp_path, capsys):
-    out = succeeded(capsys, ["plan", scene, "--picks", "3", "--out", str(tmp_path / "plan")])
+    out = succeeded(capsys, ["plan", scene, "--picks", "3", "--out", "plan"])
     assert "4 configurations" in out and "6 cells" in out
     summary = json.loads((tmp_path / "plan" / "plan.json").read_text())
     assert summary["asked"] == ["bend", "twist"] and len(summary["order"]) == 3 and summary["sigma_mm"] == 0.12
@@ -47,4 +47,4 @@ def test_what_is_measured_is_not_ranked(scene, capsys):
     (["--measured", "1,1"], "--measured"), (["--bend", "1e6", "--twist", "1e6"], "single cell"),
     (["--weight", "1:2:2"], "ratios")])
 def test_wrong_input_is_one_line(scene, tmp_path, capsys, words, option):
-    refused(capsys, tmp_path, ["plan", scene, *words, "--out", str(tmp_path / "plan")], option)
+    refused(capsys, tmp_path, ["plan", scene, *words, "--out", "plan"], option)

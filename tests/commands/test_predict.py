@@ -38,7 +38,7 @@ def folder(tmp_path):
 
 
 def words(folder, source: str, motion: str) -> list[str]:
-    return ["predict", str(folder / source), "--motion", str(folder / motion), *MATERIAL, "--out", str(folder / "f.npz")]
+    return ["predict", str(folder / source), "--motion", str(folder / motion), *MATERIAL, "--out", "f.npz"]
 
 
 def test_840_degrees_are_reported_as_840_degrees(folder, capsys):
@@ -103,9 +103,9 @@ def test_a_stiffer_material_twists_no_rod(folder, command):
     d.save_observations(folder / "cable.npz", d.Observations(shape.vertices, rest_length=np.full(33, 10.0),
                                                          start_frame=shape.frames[:, 0], end_frame=shape.frames[:, -1]))
     np.savez(folder / "held.npz", end_position_mm=np.tile(shape.vertices[:, -1], (2, 1)))
-    motion = ["--motion", str(folder / "held.npz")] * (command == "predict")
+    motion = ["--motion", "held.npz"] * (command == "predict")
     stiff = ["--bend", "4e7", "--twist", "4e7"]
-    found = made([command, str(folder / "cable.npz"), *motion, *stiff, "--out", str(folder / "f.npz")])
+    found = made([command, "cable.npz", *motion, *stiff, "--out", "f.npz"])
     untwisted = d.relax(shape, d.Material(4e7, 4e7), clamps).energy
     np.testing.assert_allclose(np.reshape(found["energy"], -1), untwisted[0], rtol=1e-6)
 
@@ -137,8 +137,8 @@ def test_marks_carry_rods_by_their_end_edges(folder):
 
 def test_a_scene_with_picture_and_recording(folder, capsys):
     pytest.importorskip("rerun")
-    scene = ["predict", str(SCENES / "pulled_straight.toml"), "--between", "2", "--out", str(folder / "f.npz")]
-    assert main([*scene, "--picture", str(folder / "f.png"), "--recording", str(folder / "f.rrd")]) == 0
+    scene = ["predict", str(SCENES / "pulled_straight.toml"), "--between", "2", "--out", "f.npz"]
+    assert main([*scene, "--picture", "f.png", "--recording", "f.rrd"]) == 0
     assert "2 rods of 33 edges" in capsys.readouterr().out
     assert (folder / "f.png").read_bytes().startswith(b"\x89PNG") and (folder / "f.rrd").stat().st_size > 10_000
     assert written(folder / "f.npz")["material_name"].tolist() == ["silk", "vicryl"]
@@ -194,8 +194,7 @@ def theta_file(folder, shape_length: float = 100.0, **changes):
 @pytest.mark.thorough
 def test_rods_with_inertia(folder, capsys):
     """Are those of simulate: the same rods at the start, which are later elsewhere."""
-    given = [str(folder / "seen.npz"), "--motion", str(folder / "marks.npz"), "--theta", str(theta_file(folder)), "--out",
-             str(folder / "f.npz")]
+    given = ["seen.npz", "--motion", "marks.npz", "--theta", str(theta_file(folder)), "--out", "f.npz"]
     still = made(["predict", *given])["vertices_mm"]
     assert "damping, drag and markers are ignored" in capsys.readouterr().err
     found = made(["simulate", *given, "--rate", "2000"])
@@ -213,8 +212,8 @@ def test_times_of_a_motion_are_kept_and_forces_are_in_newton(folder, capsys):
     seen = dict(np.load(folder / "seen.npz"))
     np.savez(folder / "slow.npz", time_s=[0.0, 1.0, 2.0],
              end_position_mm=seen["vertices_mm"][0, -1] + np.array([[0, 0, 0], [-1.0, 0, 0], [-2.0, 0, 0]]))
-    command = ["predict", str(folder / "seen.npz"), "--motion", str(folder / "slow.npz"), "--EI", "1e-4", "--GJ", "1e-4",
-               "--linear-density", "10", "--out", str(folder / "f.npz")]
+    command = ["predict", "seen.npz", "--motion", "slow.npz", "--EI", "1e-4", "--GJ", "1e-4",
+               "--linear-density", "10", "--out", "f.npz"]
     found, out = made(command), capsys.readouterr().out
     assert "inertia" not in out
     newton = 0.01 * 9.80665 / 2 / 1000  # half the weight of a millimetre
@@ -237,14 +236,14 @@ def test_clamps_inside_an_obstacle_are_said(folder, capsys):
     """Of a plane whose normal points the wrong way."""
     (folder / "under.toml").write_text('[[obstacles]]\nkind = "plane"\npoint = [0, 0, -900]\nnormal = [0, 0, -1]\n')
     np.savez(folder / "still.npz", time_s=[0.0, 1.0], end_position_mm=np.load(folder / "seen.npz")["vertices_mm"][0, [-1, -1]])
-    assert main(["predict", str(folder / "seen.npz"), "--motion", str(folder / "still.npz"), "--bend", "1e5", "--obstacles",
-                 str(folder / "under.toml"), "--radius", "1", "--out", str(folder / "f.npz")]) == 1
+    assert main(["predict", "seen.npz", "--motion", "still.npz", "--bend", "1e5", "--obstacles",
+                 "under.toml", "--radius", "1", "--out", "f.npz"]) == 1
     assert "mm inside a Plane" in capsys.readouterr().out
 
 
 def test_rest_curvature_of_a_theta(folder, capsys):
     """relax uses it at the joints of the observed rods; a theta of another length is refused."""
-    command = ["relax", str(folder / "seen.npz"), "--theta", str(theta_file(folder)), "--out", str(folder / "r.npz")]
+    command = ["relax", "seen.npz", "--theta", str(theta_file(folder)), "--out", "r.npz"]
     found = made(command)
     assert "rest curvature are used" in capsys.readouterr().err
     seen = d.load_observations(folder / "seen.npz")
@@ -257,7 +256,6 @@ def test_rest_curvature_of_a_theta(folder, capsys):
 
 def test_the_friction_of_theta_is_named(folder, capsys):
     theta = theta_file(folder, friction=0.3, rest=np.zeros((2, 1)))
-    command = ["predict", str(folder / "seen.npz"), "--motion", str(folder / "marks.npz"), "--theta", str(theta),
-               "--out", str(folder / "f.npz")]
+    command = ["predict", "seen.npz", "--motion", "marks.npz", "--theta", str(theta), "--out", "f.npz"]
     assert main(command) == 0
     assert "markers are ignored; its friction of 0.3 is ignored without obstacles" in capsys.readouterr().err

@@ -116,7 +116,7 @@ def test_a_run_s_best_cells(observed, tmp_path, capsys):
     assert json.loads((run / "refined.json").read_text()) == [found]
     bend = found["parameters"][0]["value"]
     assert found["stiffness"]["EI_Nm2"][0] == pytest.approx(bend / 2 * 2e-3 * 9.80665e-9), "the sweep's linear density"
-    printed = succeeded(capsys, [*command, "--linear-density", "4", "--out", str(tmp_path / "found.json")])
+    printed = succeeded(capsys, [*command, "--linear-density", "4", "--out", "found.json"])
     assert all(str(path) in printed for path in (run / "refined.json", run / "refined.png", tmp_path / "found.json"))
     (again,) = json.loads((tmp_path / "found.json").read_text())
     assert json.loads((run / "refined.json").read_text()) == [again]
@@ -187,12 +187,12 @@ def test_data_recorded_y_up_and_read_as_z_up_are_found_out(tmp_path, capsys):
     assert "--up y" in out and "--up y" in err and "nothing that refine can learn" not in out
     assert json.loads((run / "refined.json").read_text())[0]["other_up"]["option"] == "--up y"
 
-    assert main(["sweep", *words, "--up", "y", "--bend", "1e6:1e9:4", "--out", str(tmp_path / "right"), "--json"]) == 0
+    assert main(["sweep", *words, "--up", "y", "--bend", "1e6:1e9:4", "--out", "right", "--json"]) == 0
     out, err = capsys.readouterr()
     assert json.loads(out)["other_up"] is None and "--up" not in err
 
 
 @pytest.mark.parametrize("words, up", [("y", [0, 1, 0]), ("Y", [0, 1, 0]), ("-Z", [0, 0, -1]), ("0,0,2", [0, 0, 1])])
 def test_up_is_three_numbers_or_an_axis(observed, tmp_path, words, up):
-    assert main(["convert", str(observed), str(tmp_path / "turned.npz"), "--up", words]) == 0
+    assert main(["convert", str(observed), "turned.npz", "--up", words]) == 0
     assert load_observations(tmp_path / "turned.npz").up.tolist() == up

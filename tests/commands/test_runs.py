@@ -39,7 +39,7 @@ def runs(monkeypatch, capsys, rng) -> None:
 
 
 def test_tables_of_the_paper(capsys, tmp_path, runs):
-    out = succeeded(capsys, ["learn", "nylon", "silk", "vicryl", "silk_moved", "--out", str(tmp_path / "new" / "tables")])
+    out = succeeded(capsys, ["learn", "nylon", "silk", "vicryl", "silk_moved", "--out", "new/tables"])
     for words in ("Table I: leave-one-out error by material; static (Eq. 2)", "Table II: leave-one-out",
                   "Table III: leave-one-out error by objective and end distance; silk;",
                   "[ ] trained and tested on the same part", "What each training set chooses as a whole",
@@ -90,7 +90,7 @@ def test_refused_runs(capsys, tmp_path, runs):
 def test_runs_in_folders(capsys, tmp_path, rng):
     for name in ("nylon", "silk"):
         write_run(tmp_path / name, grid_of(4), rng.uniform(1, 2, (4, 5)), name)
-    out = succeeded(capsys, ["learn", str(tmp_path / "nylon"), str(tmp_path / "silk")])
+    out = succeeded(capsys, ["learn", "nylon", "silk"])
     assert "Table I:" in out and "Table II:" not in out, "without labels no table by end distance"
 
 
@@ -160,7 +160,7 @@ def test_a_ribbon_under_both_objectives_and_its_regimes(lab, tmp_path, capsys):
     assert names(tmp_path) == ["cells.rrd", "landscapes.png", *(f"{stem}{end}" for stem in stems for end in (".png", ".rrd"))]
     summary = json.loads(capsys.readouterr().out)
     assert summary["runs"] == ["ribbon, static", "ribbon, dynamic"] and summary["recorded_cells"] == 16
-    assert [file["path"] for file in summary["files"]][:2] == [str(tmp_path / "landscapes.png"), str(tmp_path / "cells.rrd")]
+    assert [file["path"] for file in summary["files"]][:2] == ["landscapes.png", "cells.rrd"]
     dynamic = read_landscape(lab / "dynamic")
     static, moving = read(tmp_path / "cells.rrd")
     rods = moving["/world/ribbon__dynamic/rods"]["cell"]
@@ -196,7 +196,7 @@ ALL = pytest.mark.thorough
 def test_wrong_input_is_one_line_and_nothing_is_written(request, tmp_path, capsys, runs_of, words, problem):
     folder = request.getfixturevalue(runs_of)
     runs = [str(folder / word) if (folder / word).exists() else word for word in words]
-    refused(capsys, tmp_path, ["figures", *runs, "--out", str(tmp_path / "out")], problem)
+    refused(capsys, tmp_path, ["figures", *runs, "--out", "out"], problem)
 
 
 @pytest.mark.thorough
@@ -204,7 +204,7 @@ def test_pairs_that_are_not_those_of_the_cells(lab, tmp_path, capsys):
     run = tmp_path / "dynamic"
     shutil.copytree(lab / "dynamic", run)
     (run / "pairs.csv").write_text("".join((run / "pairs.csv").read_text().splitlines(keepends=True)[:-1]))
-    refused(capsys, tmp_path, ["figures", str(run), "--out", str(tmp_path / "out")], "the cells hold")
+    refused(capsys, tmp_path, ["figures", str(run), "--out", "out"], "the cells hold")
 
 
 @pytest.mark.thorough
@@ -215,7 +215,7 @@ def test_a_failure_on_the_way_keeps_finished_files(one_run, tmp_path, capsys, mo
         raise RuntimeError("the disk is full")
 
     monkeypatch.setattr(figures, "relax_cells", fail)
-    assert main(["figures", str(one_run / "silk"), "--out", str(tmp_path / "out")]) == 1
+    assert main(["figures", str(one_run / "silk"), "--out", "out"]) == 1
     assert "the disk is full" in capsys.readouterr().err.splitlines()[-1]
     assert names(tmp_path / "out") == ["landscapes.png"]
 
@@ -239,7 +239,7 @@ def test_stored_cells_are_drawn_and_nothing_in_the_folder_changes(tmp_path, caps
     run = interrupted(tmp_path / "run", monkeypatch, 2, **given.get(case, {}))
     before = content(run)
     capsys.readouterr()
-    out = succeeded(capsys, ["view", str(run), "--out", str(tmp_path / "new" / "seen")])
+    out = succeeded(capsys, ["view", str(run), "--out", "new/seen"])
     assert f"{cells} of 12 cells" in out and f"{100 * cells // 12} %" in out and content(run) == before
     assert sorted(path.name for path in (tmp_path / "new" / "seen").iterdir()) == ["landscape.png", "run.rrd"]
     assert {"/world/rods", "/world/observations", "/landscape/picture", "/landscape/cells"} <= entities(

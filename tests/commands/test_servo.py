@@ -53,8 +53,8 @@ def _rig(path, distance: float, views: dict = VIEWS) -> None:
 
 
 def words(folder, *more: str, target: str = "target.npz", rig: str = "rig.yaml") -> list[str]:
-    return ["servo", str(folder / "start.npz"), "--target", str(folder / target), "--rig", str(folder / rig), "--EI", repr(EI),
-            "--GJ", repr(EI), "--linear-density", repr(DENSITY), "--out", str(folder / "run"), *more]
+    return ["servo", "start.npz", "--target", str(folder / target), "--rig", str(folder / rig), "--EI", repr(EI),
+            "--GJ", repr(EI), "--linear-density", repr(DENSITY), "--out", "run", *more]
 
 
 def stiffer() -> list[str]:
@@ -90,8 +90,7 @@ def test_the_target_is_reached_though_a_camera_is_covered_now_and_then(folder, c
     if has_recorder():
         assert (folder / "run" / "servo.rrd").stat().st_size > 100_000
     material = ["--EI", repr(STIFFER * EI), "--GJ", repr(STIFFER * EI), "--linear-density", repr(DENSITY)]
-    moved_rod = made(["predict", str(folder / "start.npz"), "--motion", str(folder / "run" / "path.csv"), *material, "--out",
-                      str(folder / "moved.npz")])
+    moved_rod = made(["predict", "start.npz", "--motion", "run/path.csv", *material, "--out", "moved.npz"])
     apart = moved_rod["vertices_mm"][-1] - written(folder / "target.npz")["vertices_mm"]
     assert np.sqrt(np.sum(apart**2, axis=-1).mean()) == pytest.approx(said["distance_mm"], abs=0.05)
 

@@ -60,7 +60,7 @@ def test_a_fit_far_off_is_doubted(recording, tmp_path, capsys, monkeypatch):
     command = ["identify", str(recording / "recorded.npz"), "--modes", "0", "--fit", "bend_damping", "--bend", "5e5", "--out"]
     for most in (identify.FAR_OFF, 1e-5):
         monkeypatch.setattr(identify, "FAR_OFF", most)
-        assert main([*command, str(tmp_path / "theta.json")]) == 0
+        assert main([*command, "theta.json"]) == 0
         assert ("of its length off; check the rate" in capsys.readouterr().err) is (most == 1e-5)
 
 
@@ -69,7 +69,7 @@ def test_still_frames_join_the_motion(recording, tmp_path, capsys):
     shape = np.load(recording / "made.npz")["positions_mm"][0, :1]
     np.savez(tmp_path / "still.npz", vertices_mm=np.repeat(shape, 3, axis=0), rest_length_mm=np.full(24, 12.5))
     command = ["identify", str(recording / "recorded.npz"), "--modes", "0", "--fit", "bend_damping", "--bend", "5e5", "--out",
-               str(tmp_path / "theta.json"), "--still", str(tmp_path / "still.npz")]
+               "theta.json", "--still", "still.npz"]
     assert "3 still frames, 0 left out" in succeeded(capsys, [*command, "--still-noise", "0.05"])
     fitted = json.loads((tmp_path / "theta.json").read_text())
     assert fitted["bend_mm3"] == pytest.approx(1e6, rel=0.02) and fitted["stills"]["mean_error_mm"] < 0.2
@@ -100,13 +100,13 @@ def test_captures_are_read_as_they_are(recording, theta, tmp_path, capsys):
     found = {}
     for name, more in (("one.npz", []), ("take.csv", ["--rate", "50", "--up", "0,0,1"]),
                        ("marks.csv", ["--rate", "50", "--unit", "cm", "--columns", "observation=frame,vertex=mark"])):
-        out = str(tmp_path / f"{name}.out.npz")
+        out = f"{name}.out.npz"
         found[name] = made(["simulate", str(tmp_path / name), "--theta", str(theta), "--out", out, *more])["positions_mm"]
         np.testing.assert_allclose(found[name], found["one.npz"], atol=1e-6)
     assert found["one.npz"].shape == positions.shape, "one recording has no axis for it"
     capsys.readouterr()
-    assert main(["simulate", str(tmp_path / "marks.csv"), "--theta", str(theta), "--out", str(tmp_path / "f.npz")]) == 2
-    assert main(["simulate", str(tmp_path / "marks.csv"), "--theta", str(theta), "--out", str(tmp_path / "f.npz"), "--columns",
+    assert main(["simulate", "marks.csv", "--theta", str(theta), "--out", "f.npz"]) == 2
+    assert main(["simulate", "marks.csv", "--theta", str(theta), "--out", "f.npz", "--columns",
                  "observation=frame,vertex=mark"]) == 2
     missing, rate = capsys.readouterr().err.splitlines()
     assert "--rate" in rate and "marks.csv" in rate
@@ -136,13 +136,13 @@ def test_poses_of_grippers_without_markers(recording, theta, tmp_path, capsys):
     time = np.arange(12) / 50.0
     ends = positions[0, -1] + np.stack([-20 * time, 60 * time**2, 0 * time], axis=-1)
     np.savez(tmp_path / "poses.npz", time_s=time, end_position_mm=ends)
-    poses, more = str(tmp_path / "poses.npz"), ["--theta", str(theta), "--out", str(tmp_path / "f.npz")]
+    poses, more = "poses.npz", ["--theta", str(theta), "--out", "f.npz"]
     assert main(["simulate", poses, *more]) == 2 and "--motion" in capsys.readouterr().err
-    command = ["simulate", str(tmp_path / "seen.npz"), "--motion", poses, *more]
+    command = ["simulate", "seen.npz", "--motion", poses, *more]
     found = made(command)
     assert found["positions_mm"].shape == (1, 12, 25, 3) and (found["status"] == 0).all() and found["rate_hz"] == 50
     np.testing.assert_allclose(found["positions_mm"][0, :, -1], ends, atol=1e-6)
-    as_before = made(["simulate", poses, "--start", str(tmp_path / "seen.npz"), *more])
+    as_before = made(["simulate", poses, "--start", "seen.npz", *more])
     np.testing.assert_array_equal(found["positions_mm"], as_before["positions_mm"])
     np.savez(tmp_path / "poses.npz", time_s=np.delete(time, 3), end_position_mm=np.delete(ends, 3, axis=0))
     capsys.readouterr()
@@ -154,14 +154,14 @@ def test_poses_of_grippers_without_markers(recording, theta, tmp_path, capsys):
 def test_wrong_recordings_are_one_line(recording, theta, change, field, tmp_path, capsys):
     np.savez(tmp_path / "wrong.npz", **dict(np.load(recording / "recorded.npz")) | change)
     for command, more, suffix in (("simulate", ["--theta", str(theta)], ".npz"), ("identify", [], ".json")):
-        refused(capsys, tmp_path, [command, str(tmp_path / "wrong.npz"), *more, "--out", str(tmp_path / f"out{suffix}")], field)
+        refused(capsys, tmp_path, [command, "wrong.npz", *more, "--out", f"out{suffix}"], field)
 
 
 def test_gaps_are_filled_only_if_asked(recording, theta, tmp_path):
     content = dict(np.load(recording / "recorded.npz"))
     content["positions_mm"][1, 20:23, 3] = np.nan
     np.savez(tmp_path / "gaps.npz", **content)
-    command = ["simulate", str(tmp_path / "gaps.npz"), "--theta", str(theta), "--out", str(tmp_path / "out.npz")]
+    command = ["simulate", "gaps.npz", "--theta", str(theta), "--out", "out.npz"]
     assert main(command) == 2 and main([*command, "--fill-gaps"]) == 0
 
 
@@ -170,22 +170,22 @@ def test_gaps_are_filled_only_if_asked(recording, theta, tmp_path):
     ("bend_damping_s", "damping", "damping")])
 def test_wrong_scenes_are_one_line(old, new, field, tmp_path, capsys):
     (tmp_path / "scene.toml").write_text(SCENE.replace(old, new))
-    refused(capsys, tmp_path, ["simulate", str(tmp_path / "scene.toml"), "--out", str(tmp_path / "f.npz")], field)
+    refused(capsys, tmp_path, ["simulate", "scene.toml", "--out", "f.npz"], field)
 
 
 def test_a_theta_of_another_rod(recording, theta, tmp_path, capsys):
     content = json.loads(theta.read_text())
     content["rest_length_mm"] = content["rest_length_mm"][:-1]
     (tmp_path / "other.json").write_text(json.dumps(content))
-    refused(capsys, tmp_path, ["simulate", str(recording / "recorded.npz"), "--theta", str(tmp_path / "other.json"), "--out",
-                               str(tmp_path / "f.npz")], "rest_length_mm")
+    refused(capsys, tmp_path, ["simulate", str(recording / "recorded.npz"), "--theta", "other.json", "--out",
+                               "f.npz"], "rest_length_mm")
 
 
 def test_pictures_and_animations(recording, theta, tmp_path):
     scene = tmp_path / "scene.toml"
     scene.write_text(SCENE)
-    energy = made(["simulate", str(scene), "--out", str(tmp_path / "f.npz"), "--picture", str(tmp_path / "f.png"),
-                   "--animation", str(tmp_path / "f.gif"), "--recording", str(tmp_path / "f.rrd")])
+    energy = made(["simulate", str(scene), "--out", "f.npz", "--picture", "f.png",
+                   "--animation", "f.gif", "--recording", "f.rrd"])
     assert all((tmp_path / name).stat().st_size > 1000 for name in ("f.png", "f.gif", "f.rrd"))
     parts = [energy[f"energy_{name}"] for name in ("kinetic", "gravity", "bending", "twist")]
     np.testing.assert_allclose(energy["energy_sum"], sum(parts))

@@ -30,16 +30,15 @@ def folder(tmp_path, own):
 
 def words(folder, own, target: str = "target.npz") -> list[str]:
     bend, ratio = BEND * own.factors[0, 0], own.factors[1, 0]
-    return ["steer", str(folder / "start.npz"), "--target", str(folder / target), "--bend", repr(float(bend)), "--twist",
-            repr(float(bend * ratio)), "--out", str(folder / "path.csv")]
+    return ["steer", "start.npz", "--target", str(folder / target), "--bend", repr(float(bend)), "--twist",
+            repr(float(bend * ratio)), "--out", "path.csv"]
 
 
 def test_predict_follows_the_path_to_the_target(folder, own, capsys):
     said = json.loads(succeeded(capsys, [*words(folder, own), "--json"]))
     assert said["reached"] and said["distance_mm"] < 0.5
     material = words(folder, own)[4:8]
-    moved = made(["predict", str(folder / "start.npz"), "--motion", str(folder / "path.csv"), *material, "--out",
-                  str(folder / "moved.npz"), "--json"])
+    moved = made(["predict", "start.npz", "--motion", "path.csv", *material, "--out", "moved.npz", "--json"])
     assert json.loads(capsys.readouterr().out)["falls"] == [] and moved["followed"].all()
     assert np.linalg.norm(moved["vertices_mm"][-1, 0] - own.goal[0], axis=-1).mean() < 0.5
 

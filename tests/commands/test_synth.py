@@ -113,7 +113,7 @@ def test_wrong_options(capsys, tmp_path, case):
 
 @pytest.mark.parametrize("words", [["--rig", "absent.yaml"], ["--seed", "3"], ["--render", "noise=2"]])
 def test_options_of_images_need_images(capsys, tmp_path, words):
-    refused(capsys, tmp_path, [*prepared(tmp_path)[:2], "--out", str(tmp_path / "o.npz"), *words], words[0], "--images")
+    refused(capsys, tmp_path, [*prepared(tmp_path)[:2], "--out", "o.npz", *words], words[0], "--images")
 
 
 def test_wrong_places_scenes_and_rigs(capsys, tmp_path):
@@ -122,8 +122,7 @@ def test_wrong_places_scenes_and_rigs(capsys, tmp_path):
     refused(capsys, tmp_path, [*argv[:3], argv[1], *argv[4:]], "--images", "is a file")
     (tmp_path / "full").mkdir()
     save_rig(tmp_path / "full" / "rig.yaml", small_rig())
-    refused(capsys, tmp_path, [*argv[:3], str(tmp_path / "full"), "--rig", str(tmp_path / "full" / "rig.yaml")],
-            "--images", "is the input itself")
+    refused(capsys, tmp_path, [*argv[:3], "full", "--rig", "full/rig.yaml"], "--images", "is the input itself")
     save_rig(tmp_path / "cameras.yaml", Rig(tuple(
         Camera(c.name, 100, 60, c.matrix, c.distortion, c.rotation, c.translation) for c in small_rig().cameras)))
     refused(capsys, tmp_path, argv, "cameras.left", "does not see all of silk_42mm_000deg")

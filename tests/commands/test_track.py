@@ -90,9 +90,9 @@ def test_a_video_is_tracked_from_a_click(filmed, tmp_path, capsys):
     click = ["--seed-pixel", f"cam1:{u + 3:.0f},{v - 2:.0f}"]
     beside = filmed / "beside.csv"
     changed(filmed, beside, lambda lines: [f"{line},{own}" for line, own in zip(frames.read_text().split(), ("cam1_u", "3"))])
-    argv = [*words[:-1], str(tmp_path / "new" / "f.npz")]
+    argv = [*words[:-1], "new/f.npz"]
     refused(capsys, tmp_path, [*argv, *click, "--frames", str(beside)], "cam1_u", "either")
-    refused(capsys, tmp_path, [*words[:-1], str(tmp_path / "new" / "f.npz")], "seed_x")
+    refused(capsys, tmp_path, [*words[:-1], "new/f.npz"], "seed_x")
     refused(capsys, tmp_path, [*of(filmed, tmp_path / "new" / "f.npz"), "--seed-pixel", "cam1:3,3"], "--seed-pixel", "seed_x")
 
 

@@ -28,7 +28,7 @@ def files(tmp_path):
 
 def test_what_perception_wrote(files, capsys):
     folder, twist = files
-    assert main(["twist", str(folder / "bare.npz"), *MATERIAL, "--out", str(folder / "phi.npz"), "--json"]) == 0
+    assert main(["twist", "bare.npz", *MATERIAL, "--out", "phi.npz", "--json"]) == 0
     summary = json.loads(capsys.readouterr().out)
     np.testing.assert_allclose(summary["phi_deg"], np.degrees(twist), atol=2.0)
     assert summary["verdicts"] == {"clear": 4} and summary["unsound_rods"] == 0
@@ -38,8 +38,7 @@ def test_what_perception_wrote(files, capsys):
 
 def test_several_share_an_angle(files):
     folder, twist = files
-    found = made(["twist", str(folder / "seen.npz"), *MATERIAL, "--observations", "2", "--out", str(folder / "phi.npz"),
-                  "--picture", str(folder / "phi.png")])
+    found = made(["twist", "seen.npz", *MATERIAL, "--observations", "2", "--out", "phi.npz", "--picture", "phi.png"])
     assert found["objective_mm"].shape == (2, 49) and (folder / "phi.png").read_bytes().startswith(b"\x89PNG")
     np.testing.assert_allclose(found["phi_grid_deg"], np.arange(-360, 361, 15))
     np.testing.assert_allclose(found["phi_deg"], 0, atol=1.0)  # end frames and twist are the true ones
@@ -49,9 +48,9 @@ def test_several_share_an_angle(files):
 
 def test_offsets_and_grasps(files):
     folder, twist = files
-    words = ["twist", str(folder / "bare.npz"), *MATERIAL, "--out", str(folder / "phi.npz")]
-    np.testing.assert_allclose(made([*words, "--offsets", str(folder / "offsets.csv")])["phi_deg"], [-45.0], atol=2.0)
-    found = made([*words, "--offsets", str(folder / "frames.npz"), "--regrasp", "1", "3"])
+    words = ["twist", "bare.npz", *MATERIAL, "--out", "phi.npz"]
+    np.testing.assert_allclose(made([*words, "--offsets", "offsets.csv"])["phi_deg"], [-45.0], atol=2.0)
+    found = made([*words, "--offsets", "frames.npz", "--regrasp", "1", "3"])
     assert found["group"].tolist() == [0, 1, 1, 2]
     np.testing.assert_allclose(found["phi_deg"], 0, atol=2.0)
     np.testing.assert_allclose(found["total_twist_deg"], np.degrees(twist), atol=2.0)
@@ -67,6 +66,6 @@ def test_wrong_input_is_one_line(files, capsys, words, printed):
     folder, _ = files
     if isinstance(words, str):
         (folder / "wrong.csv").write_text(words, encoding="utf-8")
-        words = ["--offsets", str(folder / "wrong.csv")]
+        words = ["--offsets", "wrong.csv"]
     capsys.readouterr()
-    refused(capsys, folder, ["twist", str(folder / "bare.npz"), *MATERIAL, "--out", str(folder / "phi.npz"), *words], printed)
+    refused(capsys, folder, ["twist", "bare.npz", *MATERIAL, "--out", "phi.npz", *words], printed)
