@@ -1,5 +1,4 @@
-"""Commands run in an empty folder. A file that a command writes appears when it is complete: whichever test runs the command,
-none is opened by its own name."""
+"""Commands run in an empty folder; a file that one writes appears when it is complete: none is opened by its own name."""
 
 import os
 import sys

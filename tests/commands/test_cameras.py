@@ -1,5 +1,4 @@
-"""doo-ti calibrate: images of a board to a rig file; doo-ti triangulate: labelled marks to observations that the other commands
-read."""
+"""doo-ti calibrate: images of a board to a rig file; doo-ti triangulate: labelled marks to observations."""
 
 import json
 import re

@@ -1,5 +1,4 @@
-"""The help: every command in one group with two examples that are valid; wrong words name the right one; the defaults that it
-states are those of the code."""
+"""The help: every command with two valid examples, wrong words name the right one, the defaults are those of the code."""
 
 import re
 import shlex

@@ -1,5 +1,4 @@
-"""Own files on the command line: units, columns, motion capture; what was loaded, warnings for implausible lengths, a finer
-mesh through marks, and recordings of motion, of which frames and markers are chosen."""
+"""Own files on the command line: units, columns, motion capture, finer meshes; what was loaded, and what is doubted of it."""
 
 import json
 from argparse import Namespace

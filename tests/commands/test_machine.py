@@ -1,5 +1,4 @@
-"""``doo-ti warm``: kernels are compiled in processes of their own, and kept for the next ones; ``doo-ti bench``: the table, the
-file, and options that are wrong."""
+"""``doo-ti warm`` compiles kernels in processes of their own; ``doo-ti bench``: its table and file."""
 
 import json
 import re

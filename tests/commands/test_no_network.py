@@ -1,7 +1,4 @@
-"""No command opens a socket to another machine: the kernel ends the process at the first one.
-
-What needs sockets, a Dask cluster and the viewer, is traced instead: it connects to this machine alone.
-"""
+"""No command opens a socket to another machine: the kernel ends it, or a trace shows that it stays on this one."""
 
 import os
 import platform

@@ -1,5 +1,4 @@
-"""Finished sweeps: ``doo-ti learn``, tables on the terminal, in files and as JSON; ``doo-ti figures``, files and messages; and
-``doo-ti view`` of an unfinished one, whose folder is only read; refused input."""
+"""Finished sweeps: ``doo-ti learn`` and ``doo-ti figures``; and ``doo-ti view`` of an unfinished one, which is only read."""
 
 import csv
 import hashlib

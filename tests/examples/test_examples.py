@@ -1,7 +1,4 @@
-"""Every example runs as it stands, in an empty folder; each ends with a check of its own result.
-
-Python examples, and the ``doo-ti`` of the shell scripts, run in this process, where the kernels are loaded already.
-"""
+"""Every example runs as it stands, in an empty folder, in this process, where kernels are loaded; it checks its own result."""
 
 import os
 import runpy

@@ -1,5 +1,4 @@
-"""README and docs: links lead somewhere, commands have the options that pages give them, README's blocks run as written; so do
-the examples of docs/reading_runs.md, on a small run."""
+"""README and docs: links lead somewhere, commands have the options that pages give them, examples run as written."""
 
 import importlib.util
 import json

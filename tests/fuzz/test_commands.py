@@ -1,5 +1,4 @@
-"""Valid command lines over the corpus, each taking well under a second, with one thing changed about a file or the command
-line: they succeed, or refuse in one line and write nothing, whatever is wrong."""
+"""Short commands over the corpus with one thing changed about a file or a word: they succeed, or refuse in one line."""
 
 import io
 import os

@@ -1,9 +1,4 @@
-"""Small files that would cost much, pipes and devices, for every reader: each is read or refused in one line, in bounded
-memory. Damaged ones are in tests/fuzz.
-
-Some are read in a process of their own, whose memory and processor time are limited, so that a reader that fails the test takes
-neither those of this one.
-"""
+"""Small files that would cost much, pipes and devices: each is read or refused in one line, in bounded memory."""
 
 import io
 import multiprocessing

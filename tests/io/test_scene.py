@@ -1,5 +1,4 @@
-"""Scenes: the meaning of a TOML file, errors in it, the keys that several kinds share; those of the package, by name, from any
-folder; and scenes of motion, the shipped ones with their results."""
+"""Scenes: the meaning of a TOML file and errors in it; those of the package, by name, from any folder; scenes of motion."""
 
 import re
 from pathlib import Path

@@ -1,5 +1,4 @@
-"""Leave-one-out against loops over fractions, and against landscapes whose answer is known; the rows and columns of tables; and
-that only cells compete whose rods all converged to certified minima: a rod that stalls at its observation scores best."""
+"""Leave-one-out against loops over fractions; rows and columns of tables; only cells of certified minima compete."""
 
 import re
 import statistics

@@ -1,5 +1,4 @@
-"""A run of many rods: its sums over cells, and a finished run is checked without reading its rods; an even part of a large
-grid."""
+"""A run of many rods: its sums over cells, a check without reading its rods, and an even part of a large grid."""
 
 import shutil
 

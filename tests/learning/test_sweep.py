@@ -1,5 +1,4 @@
-"""Whole sweeps on a small virtual lab, static and dynamic (Eq. 3): their files and rows, resuming, and independence of the
-division into chunks."""
+"""Whole sweeps on a small virtual lab, static and dynamic (Eq. 3): files and rows, resuming, independence of chunks."""
 
 import json
 from dataclasses import replace

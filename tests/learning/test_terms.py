@@ -1,5 +1,4 @@
-"""The pairs of Eq. 3, from labels as in the paper and from files; and hypotheses about unknown turns and spins: one for each
-observation, the same in all cells, where the data allow."""
+"""The pairs of Eq. 3, from labels and from files; hypotheses about unknown turns and spins, the same in all cells."""
 
 import re
 from dataclasses import replace

@@ -1,5 +1,4 @@
-"""Rods that grippers hold between their ends: the planar elastica, forces as derivatives of the energy, and re-grasping; and
-rods that are stepped by their grippers."""
+"""Rods that grippers hold between their ends: the planar elastica, loads as derivatives of the energy, re-grasping, steps."""
 
 from dataclasses import replace
 from functools import partial

@@ -1,5 +1,4 @@
-"""Plans: what they consist of, whether rods follow them to their targets, without jumps and clear of obstacles, and what they
-say where none can."""
+"""Plans: what they consist of, and whether rods follow them to their targets without jumps and clear of obstacles."""
 
 from dataclasses import replace
 from functools import cache

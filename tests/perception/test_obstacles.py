@@ -1,5 +1,4 @@
-"""A limp rod that hangs onto a table, in images: perceived with the table it does not sink into it; and Eq. 4 for a rope on a
-table."""
+"""A limp rod that hangs onto a table, perceived with the table; and Eq. 4 for a rope on a table."""
 
 import numpy as np
 import pytest

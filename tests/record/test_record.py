@@ -1,5 +1,4 @@
-"""The recording, read back: entities, timelines and counts as docs/recording.md states them; one that cannot be written, and
-two of one name."""
+"""The recording, read back: entities, timelines and counts as docs/recording.md states them; one that cannot be written."""
 
 import sys
 from types import SimpleNamespace

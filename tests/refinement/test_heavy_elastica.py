@@ -1,5 +1,4 @@
-"""Planar elasticas under their own weight, from scipy's solver of boundary value problems, which shares nothing with the
-package: a cable of 600 mm between two level clips, marks with noise, and nothing reported of the clips' directions."""
+"""Planar elasticas under their own weight by scipy: a cable of 600 mm between two clips whose directions nobody reported."""
 
 import json
 

@@ -1,5 +1,4 @@
-"""The mesh between the clips, the field of rest curvature on it, the places of the marks; and the derivatives of all residuals
-with respect to all unknowns, against rods relaxed again."""
+"""The mesh between the clips, the rest curvature on it, the places of marks; derivatives of all residuals by all unknowns."""
 
 from dataclasses import replace
 

@@ -1,5 +1,4 @@
-"""Rods of which nobody measured the rolls: held, every observation is relaxed at several, and which is right is integrated out;
-or they roll freely."""
+"""Rods whose rolls nobody measured: held, each is relaxed at several, which are integrated over; or they roll freely."""
 
 import json
 from dataclasses import replace

@@ -1,5 +1,4 @@
-"""Sutures whose stiffness varies along them, made by a solver of their own (tools/studies/marks_study): their EI, and where
-they are stiffer."""
+"""Sutures whose stiffness varies along them, by a solver of their own (tools/studies/marks_study)."""
 
 import json
 

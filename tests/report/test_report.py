@@ -1,5 +1,4 @@
-"""The landscape's picture: its elements and their places, for every shape of grid. The grid view: every observation at its own
-place, gravity down; subtracting the offset gives true coordinates."""
+"""The landscape's picture, for every shape of grid; the grid view: every observation at its own place, gravity down."""
 
 import io
 

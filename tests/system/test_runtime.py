@@ -1,6 +1,4 @@
-"""How Taichi is started, by which threads and processes; its kernels, one launch at a time, and their source;
-programs that use Taichi themselves, before and after our
-kernels, and processes forked from them."""
+"""How Taichi is started, by which threads and processes; its kernels; programs that use Taichi themselves, or fork."""
 
 import inspect
 import json

@@ -1,5 +1,4 @@
-"""The thread under a pixel, by colour and in masks; with glints, and needles that are wider than their threads: in pictures
-drawn by OpenCV, and in photographs that others took."""
+"""The thread under a pixel, by colour and in masks, with glints and needles: drawn by OpenCV, and in photographs of others."""
 
 from pathlib import Path
 
