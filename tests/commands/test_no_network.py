@@ -93,7 +93,7 @@ def test_no_command_on_images_opens_a_socket(tmp_path, pictures, rng, monkeypatc
              f"track {seen} --frames images/frames.csv --out t.npz",
              f"predict {ROOT}/scenes/motion/pulled_straight.toml --out m.npz --recording m.rrd --picture m.png",
              f"calibrate {pictures}/views.csv --board {TEXT} --out rig.yaml", "plan lab.toml --twist 4e5",
-             " ".join([*prepared(tmp_path, rows_of(wavy_vertices(rng, count=2, marks=8), rng)), "--out", "marks.npz"])]
+             f"{prepared(tmp_path, rows_of(wavy_vertices(rng, count=2, marks=8), rng))} --out marks.npz"]
     open_no_socket(words, tmp_path)
 
 

@@ -1,13 +1,13 @@
 """``doo-ti steer``: a path that predict follows to the target, targets out of reach, refused input."""
 
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from doo_ti import Observations, save_observations
-from doo_ti.commands.cli import main
-from tests.commands.calls import made, refused, succeeded
+from tests.commands.calls import ended, made, refused, succeeded
 from tools.studies.servo_tasks import BEND, tasks
 
 
@@ -19,37 +19,39 @@ def own():
 @pytest.fixture
 def folder(tmp_path, own):
     """A rod between two grippers, and where it shall be."""
-    frames = {"start_frame": own.clamps.start_frame, "end_frame": own.clamps.end_frame}
-    save_observations(tmp_path / "start.npz", Observations(
-        own.real.vertices, rest_length=own.real.rest_length, total_twist=np.zeros(1), **frames))
-    np.savez(tmp_path / "target.npz", vertices_mm=own.goal)
-    (tmp_path / "rubbing.toml").write_text('[[obstacles]]\nkind = "plane"\npoint = [0, 0, -500]\nnormal = [0, 0, 1]\n'
-                                           'friction = 0.3\n', encoding="utf-8")
+    save_observations("start.npz", Observations(
+        own.real.vertices, rest_length=own.real.rest_length, total_twist=np.zeros(1), start_frame=own.clamps.start_frame,
+        end_frame=own.clamps.end_frame))
+    np.savez("target.npz", vertices_mm=own.goal)
+    Path("rubbing.toml").write_text(
+        'obstacles = [{ kind = "plane", point = [0, 0, -500], normal = [0, 0, 1], friction = 0.3 }]')
     return tmp_path
 
 
-def words(folder, own, target: str = "target.npz") -> list[str]:
+def material(own) -> str:
     bend, ratio = BEND * own.factors[0, 0], own.factors[1, 0]
-    return ["steer", "start.npz", "--target", str(folder / target), "--bend", repr(float(bend)), "--twist",
-            repr(float(bend * ratio)), "--out", "path.csv"]
+    return f"--bend {bend} --twist {bend * ratio}"
+
+
+def steered(own, more: str = "") -> str:
+    return f"steer start.npz --target target.npz {material(own)} --out path.csv {more}"
 
 
 def test_predict_follows_the_path_to_the_target(folder, own, capsys):
-    said = json.loads(succeeded(capsys, [*words(folder, own), "--json"]))
+    said = json.loads(succeeded(capsys, steered(own, "--json")))
     assert said["reached"] and said["distance_mm"] < 0.5
-    material = words(folder, own)[4:8]
-    moved = made(["predict", "start.npz", "--motion", "path.csv", *material, "--out", "moved.npz", "--json"])
+    moved = made(f"predict start.npz --motion path.csv {material(own)} --out moved.npz --json")
     assert json.loads(capsys.readouterr().out)["falls"] == [] and moved["followed"].all()
     assert np.linalg.norm(moved["vertices_mm"][-1, 0] - own.goal[0], axis=-1).mean() < 0.5
 
 
-def test_a_gripper_that_is_not_free_stays(folder, own):
+def test_a_gripper_that_is_not_free_stays(folder, own, capsys):
     """One vertex is asked to move 10 mm, which the other gripper can do."""
     asked = np.full_like(own.rods.vertices[:1], np.nan)
     asked[:, 25] = own.rods.vertices[:1, 25] + [0.0, 10.0, 0.0]
-    np.savez(folder / "one.npz", vertices_mm=asked)
-    assert main([*words(folder, own, "one.npz"), "--free", "end-shift,end-turn"]) == 0
-    path = np.genfromtxt(folder / "path.csv", delimiter=",", names=True)
+    np.savez("target.npz", vertices_mm=asked)
+    succeeded(capsys, steered(own, "--free end-shift,end-turn"))
+    path = np.genfromtxt("path.csv", delimiter=",", names=True)
     for name in path.dtype.names:
         assert not name.startswith("start_") or np.ptp(path[name]) == 0, name
 
@@ -58,10 +60,9 @@ def test_a_gripper_that_is_not_free_stays(folder, own):
 def test_a_target_out_of_reach_is_said(folder, own, capsys):
     asked = np.full_like(own.goal, np.nan)
     asked[:, 0], asked[:, -1] = [0.0, 0, 0], [400.0, 0, 0]
-    np.savez(folder / "far.npz", vertices_mm=asked)
-    assert main([*words(folder, own, "far.npz"), "--seconds", "1", "--json"]) == 0
-    out, err = capsys.readouterr()
-    assert not json.loads(out)["reached"] and "not reached" in err and (folder / "path.csv").exists()
+    np.savez("target.npz", vertices_mm=asked)
+    out, err = ended(capsys, steered(own, "--seconds 1 --json"))
+    assert not json.loads(out)["reached"] and "not reached" in err and Path("path.csv").exists()
 
 
 @pytest.mark.parametrize("wrong, said", [
@@ -73,9 +74,8 @@ def test_a_target_out_of_reach_is_said(folder, own, capsys):
     (["--clamp-end", "free"], "--clamp-end"), (["--seconds", "1e9"], "--seconds"), (["--bend", "1e5:1e6:3"], "--bend"),
     (["--out", "path.npz"], "--out"), (["--target", "absent.npz"], "absent.npz"),
     (["--obstacles", "rubbing.toml", "--radius", "1"], "friction")])
-def test_wrong_targets_and_options_are_refused(folder, own, capsys, monkeypatch, wrong, said):
-    monkeypatch.chdir(folder)
+def test_wrong_targets_and_options_are_refused(folder, own, capsys, wrong, said):
     if isinstance(wrong, dict):
         np.savez("wrong.npz", **wrong)
     named, more = ("wrong.npz", ["--target", "wrong.npz"]) if isinstance(wrong, dict) else ("", wrong)
-    refused(capsys, folder, [*words(folder, own), *more], named, said)
+    refused(capsys, folder, [*steered(own).split(), *more], named, said)
