@@ -168,7 +168,7 @@ def _rig():
 def _moving() -> None:
     Path("tied.toml").write_text(TIED)
     _command("group", "tied.toml", "--out", "tied.npz")  # also for its kernel, which takes long to compile
-    Path("swing.toml").write_text(SCENE.replace("edges = 6", "edges = 6\nat_rest = true"))
+    Path("swing.toml").write_text(SCENE.replace("edges = 6", "edges = 6, at_rest = true"))
     _command("simulate", "swing.toml", "--out", "swung.npz")
     positions = np.load("swung.npz")["positions_mm"]
     noise = np.random.default_rng(SEED).normal(0, 0.02, (2, *positions.shape[1:]))
