@@ -61,7 +61,7 @@ def log_of(poses, turn: np.ndarray, scale: float) -> str:
 
 def test_logs_of_robots(folder):
     """In another unit, with y up, and grippers of other names: the same motion as in the keys of a motion file."""
-    seen = d.load_observationsPath("seen.npz").take([0])
+    seen = d.load_observations("seen.npz").take([0])
     d.save_observations("one.npz", seen)
     poses = dict(np.load("frames.npz"))
     poses |= {f"{end}_position_mm": np.repeat(seen.vertices[:, k], 2, axis=0) for end, k in (("start", 0), ("end", -1))}
