@@ -141,7 +141,7 @@ def test_videos_and_single_cameras_are_refused(filmed, tmp_path, capsys):
 
 
 @pytest.mark.parametrize("change, words", [
-    ("--bend 1e5:1e6:5", ("--bend", "grid")), ("--bend 1e5,2e5", ("--bend", "round")), ("--frames missing.csv", ("missing.csv",)),
+    ("--bend 1e5:1e6:5", ("--bend", "grid")), ("--bend 1e5,2e5", ("--bend", "round")), ("--frames none.csv", ("none.csv",)),
     ("--rest-length 3:x", ("--rest-length",)), ("--bend-1 1e5", ("--bend-1", "unknown")),
     ("--motion missing.npz", ("missing.npz",)), ("--motion short.npz", ("short.npz", "3 moments for 16 frames"))])
 def test_wrong_options_are_reported(filmed, tmp_path, capsys, monkeypatch, change, words):
