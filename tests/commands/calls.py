@@ -37,7 +37,6 @@ def tree(folder: Path) -> dict[str, bytes | None]:
 
 
 def words_of(argv: str | list) -> list[str]:
-    """A command line, or its words."""
     return argv.split() if isinstance(argv, str) else list(map(str, argv))
 
 

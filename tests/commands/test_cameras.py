@@ -112,7 +112,6 @@ def rows_of(marks: np.ndarray, rng, noise: float = 0.3) -> list[list]:
 
 
 def prepared(folder, rows) -> str:
-    """The command on a rig and these rows."""
     save_rig(folder / "rig.yaml", RIG)
     return f"triangulate {written(folder, rows)} --rig {folder}/rig.yaml"
 

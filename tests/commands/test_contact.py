@@ -119,7 +119,6 @@ COMMANDS = {"relax": ["rods.npz", *MATERIAL, "--out", "f.npz"], "sweep": ["rods.
 @pytest.mark.parametrize(("command", "case"), [*(("relax", case) for case in REFUSED),
                                                *((command, "no radius") for command in COMMANDS if command != "relax")])
 def test_wrong_options_are_refused_in_one_line(folder, capsys, monkeypatch, command, case):
-    """Before anything else is read."""
     words, message = REFUSED[case]
     monkeypatch.chdir(folder)
     refused(capsys, folder, [command, *COMMANDS[command], *words], message)

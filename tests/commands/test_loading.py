@@ -52,14 +52,12 @@ def test_columns_that_are_swapped_are_warned_of(capfd):
 @pytest.mark.parametrize(("density", "stiffness", "words"), [
     ("10", "1e-4", ()), ("0.01", "1e-4", ("0.01 g/m", "kg/m")), ("50", "4e3", ("4000 N m²", "g/m")), ("10", "1e-4:1e5:9", ())])
 def test_masses_and_stiffnesses_of_no_rod_are_warned_of(tmp_path, capfd, density, stiffness, words):
-    """At 500 mm; of a range the least counts."""
     warn_of_rod("rod", np.full(10, 50.0), None, **stated(Namespace(EI=stiffness, linear_density=float(density))))
     said = capfd.readouterr().err
     assert all(word in said for word in words) and bool(said) == bool(words)
 
 
 def test_columns_that_others_call_otherwise_are_asked_for(tmp_path, capfd):
-    """A table of poses and marks is not one rod with all of its marks."""
     Path("x.csv").write_text(table(MARKS, "Pose,mark,x,y,z"))
     refused(capfd, tmp_path, CONVERT, "give --columns observation=Pose,vertex=mark")
     succeeded(capfd, f"{CONVERT} --columns observation=Pose,vertex=mark")
@@ -90,7 +88,6 @@ def test_labels_exchanged_in_every_pose_are_doubted(rng, first, second):
 
 
 def test_a_mark_that_is_too_far_away_for_the_rod_is_doubted():
-    """As zeros are that stand for a mark that was not seen."""
     marks = np.array(MARKS)
     marks[1, -1] = 0.0
     doubt = apart_doubt(Observations(marks, rest_length=Observations(MARKS).rest_length))
@@ -182,7 +179,6 @@ def test_wrong_options_write_nothing(tmp_path, metres, capfd, words):
 
 @pytest.mark.thorough
 def test_results_as_csv(capsys, shipped_data):
-    """The same numbers as in the npz, for a program without NumPy."""
     succeeded(capsys, f"convert {shipped_data}/lab_a/vicryl.npz marks.npz --select 0,1")
     Path("path.csv").write_text("time_s,end_rotation_deg\n0,0\n1,20\n")
     for name, more in (("relax", ""), ("predict", "--motion path.csv"), ("twist", "")):

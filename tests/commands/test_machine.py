@@ -32,7 +32,6 @@ def test_each_step_is_run_and_a_failure_is_reported(monkeypatch, capsys):
 
 @pytest.fixture(autouse=True)
 def small(monkeypatch):
-    """The whole command, small enough to take seconds."""
     monkeypatch.setattr(cases, "ROUND_SECONDS", 0.0)
 
 

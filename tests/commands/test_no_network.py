@@ -59,7 +59,6 @@ def guarded(script: str, *arguments: str, folder: Path) -> subprocess.CompletedP
 
 
 def open_no_socket(words: list[str], folder: Path) -> None:
-    """Commands of ``doo-ti`` succeed in ``folder`` under the guard."""
     done = guarded(COMMANDS, *words, folder=folder)
     assert done.returncode == 0, f"{done.stdout}\n{done.stderr}"
 

@@ -143,7 +143,6 @@ def test_stiffness_need_not_be_known(photographed, perceived, capsys):
 
 
 def test_a_seed_and_a_wrong_length(photographed, capsys):
-    """The rod is not clear; without a click nothing is compared from one."""
     folder, rods = photographed
     argv = of_images(folder, rods[0], "--out", "f.npz", *ALONE, "--rest-length", f"3:{EDGES - 6}")
     assert "not clear" in succeeded(capsys, argv)

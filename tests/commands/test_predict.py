@@ -136,7 +136,6 @@ def test_a_scene_with_picture_and_recording(capsys):
 
 
 def test_rods_that_are_far_from_their_marks_are_pointed_out(folder, capsys):
-    """Under a hundredth of the stiffness."""
     assert "from its marks on average" in ended(capsys, words("seen.npz", "turn.csv", "--bend 6e3 --twist 1e3"))[1]
     assert "warning" not in ended(capsys, words("seen.npz", "turn.csv"))[1]
 
@@ -214,7 +213,6 @@ def test_swift_motions_say_that_inertia_is_left_out(folder, capsys):
 
 
 def test_clamps_inside_an_obstacle_are_said(folder, capsys):
-    """Of a plane whose normal points the wrong way."""
     Path("under.toml").write_text('obstacles = [{ kind = "plane", point = [0, 0, -900], normal = [0, 0, -1] }]')
     np.savez("still.npz", time_s=[0.0, 1.0], end_position_mm=np.load("seen.npz")["vertices_mm"][0, [-1, -1]])
     command = "predict seen.npz --motion still.npz --bend 1e5 --obstacles under.toml --radius 1 --out f.npz"

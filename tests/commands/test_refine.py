@@ -87,7 +87,6 @@ def test_what_is_printed_agrees_with_itself():
 
 @pytest.mark.thorough
 def test_a_fit_that_stopped_says_what_to_do(observed, capsys, monkeypatch):
-    """After a single step it has not converged."""
     from doo_ti.refinement import fit
 
     monkeypatch.setattr(fit.Fit, "run", partialmethod(_few_steps, fit.Fit.run))

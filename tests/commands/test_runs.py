@@ -109,7 +109,6 @@ def silk():
 
 @pytest.fixture(scope="module")
 def one_run(silk, tmp_path_factory):
-    """A folder with a finished sweep of a round rod, silk."""
     folder = tmp_path_factory.mktemp("lab")
     sweep(folder / "silk", silk, ROUND)
     return folder

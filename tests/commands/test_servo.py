@@ -35,7 +35,6 @@ def places():
 
 @pytest.fixture
 def folder(tmp_path, places):
-    """A rod between two grippers, where it shall be, and two cameras."""
     rod, clamps, goal = places
     save_observations("start.npz", Observations(
         rod.vertices, rest_length=rod.rest_length, total_twist=np.zeros(1), start_frame=clamps.start_frame,

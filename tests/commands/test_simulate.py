@@ -31,7 +31,6 @@ FIT = "--modes 0 --fit bend_damping --bend 5e5"
 
 @pytest.fixture(scope="module")
 def recording(tmp_path_factory):
-    """A recording of four rods that grippers move, made by a simulation."""
     folder = tmp_path_factory.mktemp("motion")
     scene = folder / "scene.toml"
     scene.write_text(SCENE.replace("duration_s = 0.2", "duration_s = 1.2").replace("edges = 6", "edges = 24, at_rest = true"))

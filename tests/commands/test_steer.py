@@ -18,7 +18,6 @@ def own():
 
 @pytest.fixture
 def folder(tmp_path, own):
-    """A rod between two grippers, and where it shall be."""
     save_observations("start.npz", Observations(
         own.real.vertices, rest_length=own.real.rest_length, total_twist=np.zeros(1), start_frame=own.clamps.start_frame,
         end_frame=own.clamps.end_frame))

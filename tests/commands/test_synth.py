@@ -23,7 +23,6 @@ NAMES = ("silk_42mm_000deg", "silk_66mm_000deg", "silk_42mm_-30deg", "silk_66mm_
 
 
 def small_rig() -> Rig:
-    """The shipped rig with a sixth of its pixels each way."""
     shrink = np.diag([1 / 6, 1 / 6, 1.0])
     return Rig(tuple(replace(camera, width=213, height=160, matrix=shrink @ camera.matrix)
                      for camera in load_rig(ROOT / "scenes" / "rig.yaml").cameras))

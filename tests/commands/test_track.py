@@ -99,7 +99,6 @@ def test_a_start_that_the_thread_has_left_is_uncertain():
 
 
 def test_a_known_motion_is_taken(filmed, tmp_path, capsys):
-    """In the first eight frames."""
     changed(filmed, filmed / "eight.csv", lambda lines: lines[:9])
     np.savez(filmed / "eight.npz", **{key: value[:8] for key, value in np.load(filmed / "motion.npz").items()})
     more = f"--motion {filmed}/eight.npz --frames {filmed}/eight.csv --no-recording --json"
@@ -110,7 +109,6 @@ def test_a_known_motion_is_taken(filmed, tmp_path, capsys):
 
 @pytest.mark.thorough
 def test_finished_frames_are_kept(filmed, tmp_path, capsys):
-    """An image in the middle is broken."""
     broken = tmp_path / "broken.png"
     broken.write_bytes(b"no image")
     frames = filmed / "broken.csv"

@@ -16,7 +16,6 @@ TWIST = np.radians([-200.0, -40.0, 90.0, 250.0])
 
 @pytest.fixture
 def twist():
-    """Observations with their frames, perception's vertices alone, and two files of offsets."""
     rods = observed(at_rest(bows(0.5, 0.8, 0.6, 0.9, edges=20, rest_length=5.0, twist=TWIST), Material(6e5, 4e5)))
     twist = rods.total_twist
     save_observations("seen.npz", rods)
@@ -57,7 +56,6 @@ def test_offsets_and_grasps(twist):
     ("offset_deg\n1\n2\n3\n1e6\n", "more than 100 turns"), ("offset_deg\n1\n2\n", "one for each"),
     ("total_twist_deg\n1\n2\n3\n4\n", "end_frame"), ("colour\n1\n", "colour")])
 def test_wrong_input_is_one_line(twist, tmp_path, capsys, words, printed):
-    """Words of the command line, or a file of offsets."""
     Path("wrong.csv").write_text(words)
     more = "--offsets wrong.csv" if words.endswith("\n") else words
     refused(capsys, tmp_path, f"{BARE} {more}", printed)

@@ -39,7 +39,6 @@ def test_the_picture_is_of_the_script_as_it_is(script):
 
 @pytest.fixture
 def folder(tmp_path, monkeypatch):
-    """An empty folder, with python and doo-ti on the path of scripts that run there."""
     programs, empty = tmp_path / "bin", tmp_path / "empty"
     for path in (programs, empty):
         path.mkdir()

@@ -69,7 +69,6 @@ def test_the_reference_has_every_public_name():
 
 @pytest.fixture
 def clone(tmp_path):
-    """An empty folder with what a fresh clone has, as far as README's commands use it."""
     for name in ("scenes", "docs"):
         (tmp_path / name).symlink_to(ROOT / name)
     return tmp_path
@@ -130,7 +129,6 @@ def folder(tmp_path_factory):
 
 
 def printed(folder, word: str, monkeypatch, capsys) -> str:
-    """What the example prints whose heading has that word."""
     example, = (text for heading, text in EXAMPLES.items() if word in heading)
     monkeypatch.chdir(folder)
     capsys.readouterr()

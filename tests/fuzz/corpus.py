@@ -204,7 +204,6 @@ def _marks() -> None:
 
 
 def _boards() -> None:
-    """Four views of a chessboard by two of the cameras."""
     board, chance, lines = parse_board(BOARD), np.random.default_rng(SEED), ["view,cam0,cam1"]
     Path("boards").mkdir(exist_ok=True)
     for view in range(4):

@@ -16,7 +16,6 @@ from tests.io.rods import twisted_frames, wavy_vertices
 
 
 def full_keys(rng) -> dict[str, np.ndarray]:
-    """Every key of the format, filled."""
     vertices = wavy_vertices(rng)
     twist = rng.uniform(-5, 5, len(vertices))
     frames = twisted_frames(vertices, twist, rng)

@@ -149,7 +149,6 @@ SHARED = {
 
 
 def loaded(folder, load, *materials: str):
-    """The scene with these tables of the materials a, b, …"""
     text = SHARED[load] + "".join(f"[materials.{name}]\n{one}\n" for name, one in zip("ab", materials, strict=False))
     (folder / "scene.toml").write_text(text)
     return load(folder / "scene.toml")

@@ -31,7 +31,6 @@ def experiment():
 
 
 def claimed_at_once(run, experiment, identities: list[str]) -> int:
-    """How many of them got the folder."""
     together = Barrier(len(identities))
 
     def begin(identity: str) -> bool:
@@ -102,7 +101,6 @@ def copy(runs, tmp_path):
 
 
 def with_column(run, name: str, change) -> None:
-    """Change one column of a run's first file of cells."""
     path = min((run / "cells").glob("*.parquet"))
     table = pyarrow.parquet.read_table(path)
     values = table.column(name).to_pylist()
@@ -164,7 +162,6 @@ def torn(path) -> None:
 
 
 def pipe(path) -> None:
-    """Which nobody writes to: it is not read."""
     path.unlink()
     os.mkfifo(path)
 
@@ -204,7 +201,6 @@ def test_a_summary_is_made_again_from_the_cells(copy, damage):
 
 
 def test_a_flipped_bit_in_an_unfinished_run_is_named(copy):
-    """There is no summary yet: the checksums of the pages detect it."""
     folder = copy("static")
     (folder / "summary.json").unlink()
     chunk = min((folder / "cells").glob("*.parquet"))

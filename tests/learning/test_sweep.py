@@ -73,7 +73,6 @@ def test_written_files(tmp_path, observations):
     (True, 2, KeyboardInterrupt(), 2, 6 * 6), (False, 4, MemoryError("no more"), 0, 3 * 6 * (GRID.size - 4))])
 def test_an_interrupted_sweep_resumes_and_ends_the_same(
         tmp_path, observations, small_chunks, monkeypatch, hint, last, error, kept, left):
-    """Also while the hypotheses of unknown turns are tried."""
     observations = observations if hint else replace(observations, total_twist=None)
     sweep(tmp_path / "whole", observations, GRID)
     interrupted(tmp_path / "run", monkeypatch, last, observations, error=error, said=f"{error}.*doo-ti sweep 'my lab'",

@@ -71,7 +71,6 @@ def test_missing_labels_are_named():
 
 
 def test_half_a_turn_needs_a_given_direction(rng):
-    """Its frames are the same whichever way it went."""
     observations = small_lab()
     over = observations.end_frame.copy()
     over[1] = over[0] * [1, -1, -1]

@@ -50,7 +50,6 @@ def test_a_failure_on_a_worker_is_reported_with_the_way_to_resume(tmp_path, sche
 
 
 def assert_refused(folder, scheduler: str, match: str = "scheduler: ") -> None:
-    """In one line, and before anything is written."""
     check_refused(match, sweep, folder / "run", small_lab(), GRID, options=SweepOptions(scheduler=scheduler))
     assert not (folder / "run").exists()
 

@@ -53,7 +53,6 @@ def test_a_raised_middle_is_the_elastica_to_second_order():
 
 @pytest.fixture(scope="module")
 def rope():
-    """(three ropes at rest, their material and clamps), of uneven stiffness and curved."""
     rod, clamps = hanging(300.0, 30, (0, 0, 0), ((180, 0, 0), (200, 30, 0), (220, 0, 40)), clamp=Clamp.FRAME)
     along = np.linspace(1.0, 2.0, rod.edges)[None, :, None, None] * 4e5 * np.eye(2)
     material = Material(along, np.linspace(3e5, 5e5, rod.edges - 1)[None], rest_curvature=(1e-3, 2e-3))
@@ -127,7 +126,6 @@ def test_grips_that_do_not_suit_are_refused(rope, vertices, obstacles, words):
 
 @pytest.mark.parametrize("change", [2 * np.eye(3), np.diag([1.0, 1, -1]), np.array([[1.0, 0.5, 0], [0, 1, 0], [0, 0, 1]])])
 def test_goals_whose_frames_are_no_rotations_are_refused(rope, change):
-    """A way to them would end at another pose."""
     solution, material, clamps = rope
     wrong, rods = replace(clamps, end_frame=clamps.end_frame @ change), solution.configuration
     one = [part.take([0]) for part in (rods, material, clamps)]

@@ -65,7 +65,6 @@ def some() -> Tasks:
 
 
 def followed(own: Tasks, path: d.ManipulationPath) -> np.ndarray:
-    """(T, V, 3) of the rod that follows the path; certified, and without a jump."""
     prediction = d.predict(own.real, own.true, own.clamps, path)
     assert prediction.followed.all() and not prediction.jumps.any()
     return prediction.vertices[:, 0]
@@ -132,7 +131,6 @@ def test_obstacles_are_kept_clear_of():
 
 @pytest.mark.thorough
 def test_a_rod_that_rests_on_an_obstacle_is_lifted_off_it():
-    """The start is in contact, the goal behind the pole."""
     own = some().take(np.array([1]))
     middle = own.real.vertices[0, 16] - [0.0, 0, 5.0]
     pole = d.Capsule(middle - [0.0, 200.0, 0], middle + [0.0, 200.0, 0], 6.0)

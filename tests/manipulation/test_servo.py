@@ -21,7 +21,6 @@ def some(name: str) -> Tasks:
 
 
 def servo_of(own: Tasks, **other) -> d.Servo:
-    """For these rods, at first in the shape that they have, to their goals."""
     return d.Servo(**(dict(rod=own.rods, material=own.nominal, clamps=own.clamps, targets=d.Targets(own.goal)) | other))
 
 
@@ -154,7 +153,6 @@ HUNG = d.Material.from_physical(1e-4, 0.75e-4, 0.3)
 
 
 def hung(**around) -> tuple[d.Configuration, d.Clamps]:
-    """A rod of 330 mm, its ends 200 mm apart in x, at rest."""
     rod, clamps = d.hanging(330.0, 33, start=(0, 0, 0), end=(200, 0, 0), clamp=d.Clamp.FRAME)
     return d.relax(rod, HUNG, clamps, **around).configuration, clamps
 
@@ -244,7 +242,6 @@ def test_poses_are_the_caller_s_own_and_marks_may_be_whole_numbers():
 
 
 def test_small_steps_on_a_long_way_are_no_end_of_it():
-    """A rod that is far from its target for the length of its steps is on its way."""
     material = d.Material.from_physical(0.002, 0.002, weight_per_length=0.6)
     rod, clamps = d.hanging(1000.0, 40, start=(0, 0, 0), end=(600, 0, 0), clamp=d.Clamp.FRAME)
     shape = d.relax(rod, material, clamps).configuration.vertices

@@ -25,14 +25,12 @@ OPTIONS = PerceptionOptions(hypotheses=15)
 
 @pytest.fixture(scope="module")
 def scene():
-    """(rig, the rods' vertices, their maps)."""
     rods = curves(np.random.default_rng(8), SETS, EDGES)
     return three_cameras(), rods, drawn_maps(three_cameras(), smooth_curve(rods, 4))
 
 
 @pytest.fixture(scope="module")
 def found(scene):
-    """(Perception, [(edges, kept, pruned)])."""
     steps = []
     return recovered(scene, on_step=lambda *step: steps.append(step)), steps
 
@@ -128,7 +126,6 @@ def test_images_of_other_cameras_are_no_rod(scene):
 
 @pytest.mark.thorough
 def test_an_edge_that_no_camera_sees_is_reported(scene):
-    """A thread that is hidden along two edges, in all images."""
     rig, rods, _ = scene
     lines = rig.project(smooth_curve(rods[0], 24))
     hidden = np.arange(lines.shape[1]) // 24

@@ -25,7 +25,6 @@ PAIRS = Path(__file__).resolve().parents[3] / "shared" / "data" / "suture_stereo
 
 
 def views(rig: d.Rig, points: np.ndarray, noise: float, rng: np.random.Generator) -> list[d.Detection]:
-    """What each camera detects of a curve (N, 3) mm."""
     return [detection(camera, points, noise, rng) for camera in rig.cameras]
 
 
@@ -141,7 +140,6 @@ def test_a_level_arch_does_not_begin_at_its_other_end(angle, height, rng):
 
 
 def test_a_thread_begins_near_where_it_did_a_moment_before(rng):
-    """Also where the rays of opposite ends meet."""
     rig, points = cameras(30.0, third=False), arch(10.0)
     first, second = rig.cameras
     rays = np.stack([points[0] - first.centre, second.centre - points[-1]], axis=1)
@@ -162,7 +160,6 @@ def test_a_thread_begins_where_the_rays_of_its_ends_meet(angle, turn, rng):
 
 
 def with_more(found, points: np.ndarray, tangent: np.ndarray):
-    """A detection with ``points`` (N, 2) px of something else."""
     return found.with_parts([line_of(points, tangent, found.width_px)])
 
 
@@ -219,7 +216,6 @@ def test_an_end_of_something_else_is_not_where_the_rod_begins(rng):
 
 
 def test_a_camera_from_which_a_part_is_hidden_does_not_cost_it(rng):
-    """Two cameras see all of the thread."""
     rig, points = cameras(40.0, third=True), curve(np.random.default_rng(7))
     images = views(rig, points, 0.1, rng)
     images[2] = images[2].take(np.arange(int(0.7 * images[2].count)))

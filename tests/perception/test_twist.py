@@ -26,7 +26,6 @@ def made():
 
 
 def about_tangent(angle) -> np.ndarray:
-    """(…, 3, 3) turns of a frame about its tangent."""
     return Rotation.from_rotvec(np.multiply.outer(angle, [1.0, 0, 0])).as_matrix()
 
 

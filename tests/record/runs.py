@@ -54,7 +54,6 @@ def relaxation(rng: np.random.Generator) -> dict:
 
 
 def sweep(rng: np.random.Generator) -> dict:
-    """Arguments of `record_sweep`."""
     return relaxation(rng) | {"plane": plane(), "intervals": valley(grid(), landscape())}
 
 

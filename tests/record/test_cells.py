@@ -38,7 +38,6 @@ def joined(given: dict, run: int, name: str) -> np.ndarray:
 
 @pytest.fixture(scope="module")
 def recorded(tmp_path_factory):
-    """(the arguments of a recording, static data, moving data)."""
     path, given = tmp_path_factory.mktemp("cells") / "cells.rrd", figure(np.random.default_rng(SEED))
     record_cells(path, **given)
     assert [entry.name for entry in path.parent.iterdir()] == ["cells.rrd"]

@@ -31,7 +31,6 @@ def written(tmp_path, run) -> tuple[dict, dict]:
 
 @pytest.fixture(scope="module")
 def swept(tmp_path_factory):
-    """(the arguments of a recording, its file, static data, moving data)."""
     folder, run = tmp_path_factory.mktemp("sweep"), runs.sweep(np.random.default_rng(SEED))
     return run, folder / "run.rrd", *written(folder, run)
 
@@ -193,7 +192,6 @@ def test_viewer_listens_on_this_machine_only_and_reports_nothing(tmp_path, monke
 @pytest.mark.thorough
 @pytest.mark.skipif(sys.platform != "linux", reason="other systems have one display, which is there")
 def test_a_viewer_without_a_window_is_an_error(tmp_path, rng, monkeypatch, capfd):
-    """A display is named, but does not answer."""
     record_sweep(tmp_path / "run.rrd", **runs.sweep(rng))
     monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
     monkeypatch.setenv("DISPLAY", ":4242")

@@ -50,7 +50,6 @@ def test_the_lab_s_sutures_are_in_their_intervals(shared_data, tmp_path, name):
 
 @pytest.mark.slow
 def test_a_real_cable_in_five_folds_by_recording(shared_data):
-    """Errors of what the fit did not see, mm."""
     path = shared_data / "cables/dlo1.npz"
     observations = load_observations(path)
     with np.load(path, allow_pickle=False) as keys:

@@ -15,7 +15,6 @@ from tests.refinement.rods_between_clips import TRUTH, assert_gradient, held, mo
 
 @pytest.fixture(scope="module")
 def linear_model():
-    """(evidence, residuals, sizes) of five rods with frames."""
     comparison, scales = model(held(suture(2, frames=True).take([0, 1, 2, 4, 5]), 34), with_frames=True)
     values = comparison.unknowns.begun(TRUTH, np.array([2.0, 2.5]))
     state = Fit(comparison, values, Newton()).begin(values, scales)
@@ -82,7 +81,6 @@ def test_the_best_sizes_leave_no_slope(linear_model):
 
 
 def without(linear, d: int):
-    """The residuals of all observations but ``d``."""
     return tuple(replace(kind, **{name: np.delete(getattr(kind, name), d, axis=0)
                                   for name in ("values", "shared", "effects", "count")}) for kind in linear)
 

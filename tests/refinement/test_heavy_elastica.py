@@ -73,7 +73,6 @@ def test_bend_alone_from_a_sweep_holds_the_truth(marks, tmp_path):
 
 
 def is_minimum(shape: np.ndarray) -> bool:
-    """Whether a cable stays in that equilibrium."""
     seen = Observations(across(shape, 0.0)[None])
     clamps = observation_clamps(seen)
     material = Material.from_physical(SOFT, SOFT, GRAMS_PER_METRE * 9.81e-3)

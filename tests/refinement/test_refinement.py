@@ -55,7 +55,6 @@ def test_noise_free_straight_rods_between_known_clips_give_their_theta_back(rng)
 
 @pytest.mark.thorough
 def test_marks_in_a_wrong_order_are_named(rng):
-    """The reverse order of evenly spaced marks on a straight rod is right as well."""
     observations, truth = own_mesh(rng, count=10)
     vertices = observations.vertices + 0.02 * rng.normal(size=observations.vertices.shape)
     vertices[4, [5, 9]] = vertices[4, [9, 5]]

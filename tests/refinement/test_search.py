@@ -18,7 +18,6 @@ from tests.refinement.rods_between_clips import TRUTH, held, suture
 
 
 def fit_of(seen: Observations) -> tuple[Fit, Values, Scales]:
-    """The fit of bend and twist, and where it begins."""
     unknowns = Unknowns(held(seen), ("bend", "twist"))
     spacing = float(seen.rest_length[0])
     scales = typical_scales(unknowns.rod.length, spacing, unknowns.scale_names | {"marks", "gap"}, {})

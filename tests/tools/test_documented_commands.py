@@ -58,7 +58,6 @@ def test_every_command_that_measured_a_page_exists():
 @pytest.mark.thorough
 @pytest.mark.parametrize("command", sorted({words for words in MEASURED if " --" in words and " -m " not in words}))
 def test_every_command_takes_its_options(command):
-    """The options that a documented command names are those of its help."""
     words = shlex.split(command)
     program = [sys.executable, *(["-m", "doo_ti", words[1]] if words[0] == "doo-ti" else words[1:2])]
     asked = "--help-all" if words[0] == "doo-ti" else "--help"

@@ -83,13 +83,11 @@ def drawn_maps(rig: Rig, rods: np.ndarray, margin: int = 25) -> DistanceMaps:
 
 
 def drawn_scene(seed: int, count: int, edges: int) -> tuple[Rig, np.ndarray, DistanceMaps]:
-    """Three cameras, rods (A, V, 3) mm, and their maps."""
     rods = curves(np.random.default_rng(seed), count, edges)
     return three_cameras(), rods, drawn_maps(three_cameras(), rods)
 
 
 def map_of(maps: DistanceMaps, row: int, camera: int) -> Map:
-    """One map, for the oracle."""
     offset, left, top, width, height = (int(number) for number in maps.window[row, camera])
     return Map(maps.values[offset : offset + width * height].reshape(height, width), left, top)
 

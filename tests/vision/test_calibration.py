@@ -64,7 +64,6 @@ def test_no_board_no_corners(rng):
 @pytest.mark.parametrize("text, upside_down", [
     ("circles:7x5:12", False), ("acircles:4x11:8", False), ("acircles:4x11:8", True)])
 def test_centres_of_circles_in_the_board_s_order(text, upside_down):
-    """Drawn as polygons that a camera sees."""
     camera = Camera("cam", 640, 480, [[800.0, 0, 320], [0, 800, 240], [0, 0, 1]], np.zeros(5), np.eye(3), np.zeros(3))
     board, image, angle = parse_board(text), np.full((480, 640), 220, np.uint8), np.linspace(0, 2 * np.pi, 60)
     turn = cv2.Rodrigues(np.array([0.0, 0, np.pi * upside_down]))[0] @ cv2.Rodrigues(np.array([np.pi + 0.3, 0.2, 0.1]))[0]

@@ -52,7 +52,6 @@ def test_a_thread_lit_from_the_side_is_found_between_its_edges():
 
 @pytest.mark.parametrize("way", [1, -1])
 def test_a_colour_selects_a_thread_lit_from_the_side_and_its_edges_say_where_it_is(way):
-    """Only its lit side has the colour."""
     row, column = np.mgrid[:200, :300]
     off = row - (100 + 30 * np.sin(column / 60))
     around = np.clip(off / 6, -1, 1)

@@ -21,7 +21,6 @@ PAPER = (205, 215, 220)
 
 
 def wave(phase: float = 0.0, scale: float = 1.0) -> np.ndarray:
-    """(N, 2) px: a curve through the picture."""
     t = np.linspace(0, 1, 2000)[:, None]
     return scale * np.hstack([60 + 480 * t, 200 + 90 * np.sin(5 * t + phase)])
 
@@ -40,7 +39,6 @@ def drawn(*strokes, size=SIZE, seed=0, ground=PAPER) -> np.ndarray:
 
 
 def shares(points: np.ndarray, true: np.ndarray, near: float = 3.0) -> tuple[float, float]:
-    """Recall and precision."""
     if not len(points):
         return 0.0, 0.0
     return tuple(float((cKDTree(a).query(b)[0] <= near).mean()) for a, b in ((points, true), (true, points)))
@@ -213,7 +211,6 @@ def test_what_crosses_or_lies_alone_is_not_the_thread():
 @pytest.mark.thorough
 @pytest.mark.parametrize("apart", [4.0, 6.0])
 def test_strands_side_by_side_are_two_lines(apart):
-    """Where they touch, nothing is put between them."""
     curve = wave()
     aside = apart / 2 + 4.0 * np.abs(np.linspace(-1, 1, len(curve)))[:, None]
     pair = [beside(curve, sign * aside) for sign in (-1, 1)]

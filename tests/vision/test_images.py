@@ -31,7 +31,6 @@ def camera(turned: bool = False) -> Camera:
 
 
 def tagged(path, image: np.ndarray, tag: int) -> None:
-    """A JPEG file with an orientation tag."""
     content = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, 100])[1].tobytes()
     exif = b"Exif\0\0" + b"II*\0" + struct.pack("<IHHHIHHI", 8, 1, 274, 3, 1, tag, 0, 0)
     path.write_bytes(content[:2] + b"\xff\xe1" + struct.pack(">H", len(exif) + 2) + exif + content[2:])
@@ -137,7 +136,6 @@ def test_a_clicked_thread_is_sought_by_what_shows_it_best(tmp_path, gripper):
 
 
 def test_a_thread_is_dark_or_light_in_all_images_of_a_set(tmp_path):
-    """In the second image something light is more distinct."""
     paths = []
     for number, level in enumerate((150, 255)):
         (tmp_path / str(number)).mkdir()

@@ -27,7 +27,6 @@ def wave() -> np.ndarray:
 
 
 def loop() -> np.ndarray:
-    """It crosses itself once."""
     a = np.linspace(-2.2, 2.2, 1200)
     return np.stack([320 + 90 * (a**3 - 2.5 * a) / 2, 120 + 60 * a**2], axis=1)
 

@@ -20,7 +20,6 @@ SYMMETRIC = [[0, 1, 2], [1, 3, 4], [2, 4, 5]]
 
 @pytest.fixture(scope="module")
 def scene():
-    """(rig, four rods, their maps)."""
     return drawn_scene(4, 4, 12)
 
 

@@ -90,7 +90,6 @@ def test_few_views_and_parallel_rays(rng):
 
 
 def test_a_point_behind_the_cameras_is_none():
-    """Rays that diverge meet behind both."""
     matrix = [[500.0, 0, 320], [0, 500.0, 240], [0, 0, 1]]
     rig = Rig(tuple(Camera(name, 640, 480, matrix, np.zeros(5), np.eye(3), [x, 0, 0])
                     for name, x in (("left", 20.0), ("right", -20.0))))
