@@ -128,8 +128,7 @@ def test_marks_become_observations(tmp_path, rng, capsys):
     argv = f"{prepared(tmp_path, rows)} --out new/silk.npz --sigma-px 0.3 --labels labels.csv --up 0,-1,0"
     written(tmp_path, [[*row, "note"] for row in rows], HEADER.replace("\n", ",remark\n"))  # a column more is no matter
     printed = succeeded(capsys, argv)
-    assert "3 observations" in printed and "29 of 30" in printed
-    assert re.search("outlier .*pose1.* 4.*cam2", printed)
+    assert "3 observations" in printed and "29 of 30" in printed and re.search("outlier .*pose1.* 4.*cam2", printed)
     found = load_observations("new/silk.npz")
     assert found.name == "silk" and np.argwhere(~found.valid).tolist() == [[0, 3]]
     assert (np.linalg.norm(found.vertices - vertices, axis=-1)[found.valid] / found.sigma[found.valid]).max() < 8

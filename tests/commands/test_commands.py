@@ -212,8 +212,7 @@ def test_pairs_of_a_file_and_of_a_scene(capsys, tmp_path):
 @pytest.mark.thorough
 def test_settled_hypotheses_are_reported(capsys, tmp_path):
     named = [f"trial {d}" for d in range(6)]
-    argv = ["sweep", written_lab(tmp_path, total_twist=None, labels=named), *GRID, "--out", "run"]
-    out = succeeded(capsys, argv)
+    out = succeeded(capsys, ["sweep", written_lab(tmp_path, total_twist=None, labels=named), *GRID, "--out", "run"])
     assert re.search(r"hypotheses +18\b.*\b6 observations.*\b0\b", out)
     unknown = written_lab(tmp_path, total_twist=None, end_frame=None)
     out = succeeded(capsys, ["sweep", unknown, *GRID, "--spins", "6", "--out", "spins"])

@@ -65,16 +65,14 @@ def test_a_rod_comes_nearer_and_everything_is_written(folder, capsys):
     assert said["frames"]["lost"] == 0 and all(int(row["vertices_seen"]) > 10 for row in rows)
     assert said["EI"]["low"] < said["EI"]["value"] < said["EI"]["high"]
     assert said["EI"]["true"] == pytest.approx(FACTOR * EI) and float(rows[-1]["EI_Nm2"]) == said["EI"]["value"]
-    assert load_path("run/path.csv").moments == 1 + len(rows)
-    assert Path("run/servo.png").stat().st_size > 10_000
+    assert load_path("run/path.csv").moments == 1 + len(rows) and Path("run/servo.png").stat().st_size > 10_000
     assert ("not reached" in err) == (not said["reached"])
 
 
 @pytest.mark.thorough
 def test_the_target_is_reached_though_a_camera_is_covered_now_and_then(folder, capsys):
     _rig("three.yaml", 400.0, {**VIEWS, "above": (0.2, 0.2, -1.0)})
-    words = f"{SERVO} {STIFFER} --occlude front:0.33 --noise 4 --seed 3 --rig three.yaml --json"
-    out, err = ended(capsys, words)
+    out, err = ended(capsys, f"{SERVO} {STIFFER} --occlude front:0.33 --noise 4 --seed 3 --rig three.yaml --json")
     said = json.loads(out)
     assert said["reached"] and said["distance_mm"] < 1.5 and 0 < said["covered"] < said["steps"] and "not reached" not in err
     assert said["frames"]["lost"] == 0 and (not has_recorder() or Path("run/servo.rrd").stat().st_size > 100_000)

@@ -84,8 +84,7 @@ def test_lengths_along_arcs():
     np.testing.assert_array_equal(replace(stated, spacing_error=0.1).along_arcs().rest_length, 9.0)
     with warnings.catch_warnings():  # of NumPy, about an edge that no rod shows
         warnings.simplefilter("error")
-        valid = np.arange(seen.edges + 1)[None] > 0
-        unseen = replace(stated, valid=np.repeat(valid, seen.count, axis=0)).along_arcs()
+        unseen = replace(stated, valid=np.repeat(np.arange(seen.edges + 1)[None] > 0, seen.count, axis=0)).along_arcs()
     np.testing.assert_array_equal(unseen.rest_length, 9.0)
 
 

@@ -50,8 +50,7 @@ def assert_as_by_loops(found, parts):
         cells = [by_loops(training, tested, term) for term in range(len(tested.terms))]
         errors = [float(tested.landscape.distance[cell, term]) for cell, term in zip(cells, tested.terms, strict=True)
                   if cell is not None and not np.isnan(tested.landscape.distance[cell, term])]
-        assert found.count[row, column] == len(errors)
-        assert found.left_out[row, column] == len(cells) - len(errors)
+        assert found.count[row, column] == len(errors) and found.left_out[row, column] == len(cells) - len(errors)
         mean = statistics.fmean(errors) if errors else np.nan
         np.testing.assert_allclose(found.mean[row, column], mean, rtol=1e-14)
         error = statistics.stdev(errors) / len(errors)**0.5 if len(errors) > 1 else np.nan

@@ -45,8 +45,7 @@ def test_strength_is_how_far_marks_move(configurations):
     above, below = (relax(start, Material(BEND * factor, TWIST), clamps, exact).configuration.vertices
                     for factor in (1 + step, 1 - step))
     shift = (above - below) / (2 * step)
-    wanted = np.sqrt(np.sum(shift**2, axis=(1, 2)) / shift.shape[1])
-    np.testing.assert_allclose(found.strength[:, 0], wanted, rtol=1e-3)
+    np.testing.assert_allclose(found.strength[:, 0], np.sqrt(np.sum(shift**2, axis=(1, 2)) / shift.shape[1]), rtol=1e-3)
     np.testing.assert_allclose(found.total, found.strength[:, 0])
     assert found.parameters == ("bend", "twist", "weight") and found.asked == (0,)
 

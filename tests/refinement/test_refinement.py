@@ -188,8 +188,7 @@ def test_rods_without_an_equilibrium_do_not_count(seen):
 def test_lowest_cells_are_those_no_neighbour_is_below():
     grid = Grid((Axis("bend", np.geomspace(1e5, 1e7, 4)), Axis("twist", np.geomspace(1e5, 1e7, 3))))
     height = np.array([[3, 2, 5], [4, 9, 5], [np.nan, 9, 1], [0, 7, 6]], dtype=float).ravel()
-    assert lowest_cells(grid, height, 5).tolist() == [9, 8, 1]
-    assert lowest_cells(grid, height, 2).tolist() == [9, 8]
+    assert lowest_cells(grid, height, 5).tolist() == [9, 8, 1] and lowest_cells(grid, height, 2).tolist() == [9, 8]
     assert not len(lowest_cells(grid, np.full(12, np.nan), 2))
     theta = theta_of_cell(grid, 8, [0.0, 1.0, 0.0])
     assert (theta.bend[0, 0], theta.twist, theta.up.tolist()) == (grid.axes[0].values[2], 1e7, [0, 1, 0])
