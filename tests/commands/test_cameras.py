@@ -26,8 +26,7 @@ TEXT = "chessboard:9x6:10"
 @pytest.fixture(scope="module")
 def pictures(tmp_path_factory):
     """A folder with images of four views by three cameras; cam2 misses view 2, and cam0's image of view 3 is blank."""
-    folder = tmp_path_factory.mktemp("views")
-    rng = np.random.default_rng(SEED)
+    folder, rng = tmp_path_factory.mktemp("views"), np.random.default_rng(SEED)
     lines = ["view,cam0,cam1,cam2"]
     for view, (turn, place) in enumerate(poses(BOARD, 4, rng)):
         names = []
@@ -103,8 +102,7 @@ def test_wrong_options(capsys, pictures, tmp_path, case):
 def rows_of(marks: np.ndarray, rng, noise: float = 0.3) -> list[list]:
     """Rows of a file for (D, V, 3) marks, or (D, V, 2, 3) on both edges of ribbons."""
     pixels = RIG.project(marks)
-    pixels = pixels + rng.normal(0, noise, pixels.shape)
-    rows = []
+    pixels, rows = pixels + rng.normal(0, noise, pixels.shape), []
     for at in np.ndindex(*pixels.shape[:-1]):
         camera, observation, vertex, *side = at
         rows.append([f"pose{observation}", RIG.names[camera], f"{vertex}{'LR'[side[0]] if side else ''}", *pixels[at].tolist()])

@@ -53,8 +53,7 @@ def test_scenes_too_coarse_for_an_obstacle_are_warned_of(monkeypatch, command):
 def folder(tmp_path_factory):
     """Rods held 10 and 60 mm above a table, one below it, and one that goes through it; the table, without friction and with
     it; a motion."""
-    folder = tmp_path_factory.mktemp("contact")
-    x = np.linspace(0, 100, 11)
+    folder, x = tmp_path_factory.mktemp("contact"), np.linspace(0, 100, 11)
     rods = np.stack([np.stack([x, 0 * x, height + 0 * x], axis=1) for height in (10.0, 60.0, -10.0)])
     steep = np.array([10.0, 10, 6, 1, -4, -9, -14, -19, -24, -29, -34])
     rods = np.concatenate([rods, np.stack([np.cumsum(np.r_[0, 10, np.full(9, 8.7)]), 0 * x, steep], axis=1)[None]])

@@ -28,8 +28,7 @@ ALONE = ("--no-picture", "--no-recording")
 @pytest.fixture(scope="module")
 def photographed(tmp_path_factory):
     """(folder of images, SETS.csv, the rig and the truth; the rods' vertices)."""
-    folder = tmp_path_factory.mktemp("images")
-    rods = curves(np.random.default_rng(8), 2, EDGES)
+    folder, rods = tmp_path_factory.mktemp("images"), curves(np.random.default_rng(8), 2, EDGES)
     rig = three_cameras()
     save_rig(folder / "rig.yaml", rig)
     lines = ["name,cam0,cam1,cam2,seed_x,seed_y,seed_z,dir_x,dir_y,dir_z"]

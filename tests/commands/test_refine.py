@@ -128,8 +128,7 @@ def test_wrong_input_is_reported_in_a_line_and_nothing_is_written(observed, tmp_
 def long_outer_edges() -> Observations:
     """Six cables of 960 mm with marks 120 mm apart, whose clips hold 5 mm and point far away from each other: whole outer edges
     held so would leave too little rod between them."""
-    s = (np.arange(96) + 0.5) / 96
-    rods = []
+    s, rods = (np.arange(96) + 0.5) / 96, []
     for k in range(6):
         away = np.radians(65) * (np.exp(-s / 0.06) - (-1) ** k * np.exp(-(1 - s) / 0.06))
         tangents = np.stack([np.cos(away), np.sin(away) * np.cos(k), np.sin(away) * np.sin(k) + 0.25 * (2 * s - 1)], axis=-1)

@@ -221,8 +221,7 @@ def test_stored_cells_are_drawn_and_nothing_in_the_folder_changes(tmp_path, caps
     """Under both objectives, and with three hypotheses for each observation."""
     given = {"dynamic": {"options": DYNAMIC}, "hypotheses": {"observations": replace(small_lab(), total_twist=None)}}
     run = interrupted(tmp_path / "run", monkeypatch, 2, **given.get(case, {}))
-    before = content(run)
-    out = succeeded(capsys, f"view {run} --out new/seen")
+    before, out = content(run), succeeded(capsys, f"view {run} --out new/seen")
     assert f"{cells} of 12 cells" in out and f"{100 * cells // 12} %" in out and content(run) == before
     assert names(Path("new/seen")) == ["landscape.png", "run.rrd"]
     assert {"/world/rods", "/world/observations", "/landscape/picture", "/landscape/cells"} <= entities("new/seen/run.rrd")

@@ -136,8 +136,7 @@ def _observations() -> None:
     for name in ("rods.csv", "rods.parquet"):
         _command("convert", "rods.npz", name)
     keys = dict(np.load("rods.npz"))
-    count = len(keys["vertices_mm"])
-    vertices = keys["vertices_mm"]
+    count, vertices = len(keys["vertices_mm"]), keys["vertices_mm"]
     np.savez("labs.npz", vertices_mm=vertices, valid=np.ones(vertices.shape[:2], bool), sigma_mm=np.array(0.12),
              up=np.array([0.0, 0.0, 1.0]))
     np.savez("offsets.npz", offset_deg=120.0 * (np.arange(count) // 2))

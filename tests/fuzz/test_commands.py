@@ -113,8 +113,7 @@ ARRAYS = {
 
 @st.composite
 def bytes_changed(draw, content: bytes) -> bytes:
-    at = draw(st.integers(0, len(content)))
-    length = draw(st.sampled_from([1, 2, 16, 256]))
+    at, length = draw(st.integers(0, len(content))), draw(st.sampled_from([1, 2, 16, 256]))
     way = draw(st.sampled_from(["flip", "cut", "remove", "repeat", "insert", "empty"]))
     if way == "flip" and content:
         at = min(at, len(content) - 1)

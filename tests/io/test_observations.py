@@ -18,8 +18,7 @@ from tests.io.rods import twisted_frames, wavy_vertices
 def full_keys(rng) -> dict[str, np.ndarray]:
     vertices = wavy_vertices(rng)
     twist = rng.uniform(-5, 5, len(vertices))
-    frames = twisted_frames(vertices, twist, rng)
-    valid = np.ones(vertices.shape[:2], dtype=bool)
+    frames, valid = twisted_frames(vertices, twist, rng), np.ones(vertices.shape[:2], dtype=bool)
     valid[1, 4] = False
     vertices[1, 4] = np.nan
     return {
@@ -37,8 +36,7 @@ def same(first: Observations, second: Observations, tolerance: float = 0.0) -> b
 
 
 def test_every_key_is_read_in_our_units(tmp_path, rng):
-    keys = full_keys(rng)
-    path = tmp_path / "suture.npz"
+    keys, path = full_keys(rng), tmp_path / "suture.npz"
     np.savez(path, **keys, unsteadiness=np.array(["unknown keys", "are ignored"]))
     observations = load_observations(path)
     assert (observations.name, observations.source) == ("suture", str(path)) and len(observations.sha256) == 64

@@ -236,8 +236,7 @@ def test_a_loop_is_thrown_and_pops_out():
     rotation = np.degrees(prediction.end_rotation[:, 0])
     assert 2 < thrown <= 4 < popped < 7
     # While the loop is there a turn of writhe is, too: twist is a whole turn short of what the clamp did.
-    short = rotation - np.degrees(prediction.total_twist[:, 0])
-    inside = slice(jumps[0], jumps[1])
+    short, inside = rotation - np.degrees(prediction.total_twist[:, 0]), slice(jumps[0], jumps[1])
     assert (short[inside] > 300).all() and np.abs(short[-1]) < 10 and np.abs(short[: jumps[0] - 40]).max() < 90
 
 

@@ -138,8 +138,7 @@ def test_marks_may_be_missing_in_any_usual_way(tmp_path, rng, case, suffix):
 @pytest.mark.parametrize("suffix", SUFFIXES)
 def test_observations_keep_what_the_file_calls_them(tmp_path, rng, suffix):
     """In messages, and in files that are written from them."""
-    columns = table(rng) | {"observation": [8] * 4 + [3] * 4}
-    path = tmp_path / f"frames{suffix}"
+    columns, path = table(rng) | {"observation": [8] * 4 + [3] * 4}, tmp_path / f"frames{suffix}"
     write(path, columns)
     found = load_observations(path)
     assert found.labels.tolist() == [3, 8] and found.take([1]).labels.tolist() == [8]

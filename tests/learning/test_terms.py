@@ -31,8 +31,7 @@ def test_pairs_of_the_paper(laboratory):
 
 
 def test_files_are_read_and_written(tmp_path):
-    observations = small_lab()
-    path = tmp_path / "pairs.csv"
+    observations, path = small_lab(), tmp_path / "pairs.csv"
     path.write_text("to, from,weight,rotation_deg\n4,0,2.5,480\n0,4,0,-120\n")
     pairs = terms.load_pairs(path, observations)
     assert (pairs.from_index.tolist(), pairs.to_index.tolist(), pairs.weight.tolist()) == ([0, 4], [4, 0], [2.5, 0])

@@ -196,8 +196,7 @@ def test_sums_are_those_of_all_rods(tmp_path, rng):
 
 @pytest.mark.parametrize("damage", ["twice", "elsewhere", "missing"])
 def test_a_rod_that_is_there_twice_or_never_is_found(tmp_path, rng, damage):
-    grid = written(tmp_path, 3, rng)
-    path = tmp_path / "cells" / "001.parquet"
+    grid, path = written(tmp_path, 3, rng), tmp_path / "cells" / "001.parquet"
     rows = pyarrow.parquet.read_table(path)
     changed = {"twice": pyarrow.concat_tables([rows.slice(0, len(rows) - 1), rows.slice(3, 1)]),
                "elsewhere": rows.set_column(0, "bend_1", pyarrow.array(np.full(len(rows), 3.3e5))),

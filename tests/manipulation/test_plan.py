@@ -80,8 +80,7 @@ def test_a_few_vertices_are_lifted(asked):
     """By 260 mm. Pulling the grippers apart lifts them with shorter moves, until the rod is taut; then both have to rise."""
     hung, clamps = d.hanging(330.0, 33, (0, 0, 0), (200, 0, 0), clamp=d.Clamp.FRAME)
     material = d.Material(6e5, 6e5)
-    hung = d.relax(hung, material, clamps).configuration
-    goal = np.full((1, 34, 3), np.nan)
+    hung, goal = d.relax(hung, material, clamps).configuration, np.full((1, 34, 3), np.nan)
     goal[0, asked] = hung.vertices[0, asked] + [0, 0, 260]
     path = d.plan_manipulation(hung, material, clamps, d.Targets(goal))
     assert path.reached and path.distance < 0.5
@@ -117,8 +116,7 @@ def test_no_rod_is_pulled_taut_to_a_straight_target():
 @pytest.mark.thorough
 def test_obstacles_are_kept_clear_of():
     """A ball where the straight motion of the grippers would take the rod."""
-    own = some().take(np.array([1]))
-    shift = np.zeros((1, 12))
+    own, shift = some().take(np.array([1])), np.zeros((1, 12))
     shift[:, [1, 7]] = 300.0
     goal = own.real.vertices + shift[:, None, :3]
     ball = d.Sphere(own.real.vertices[0, 16] + [0.0, 150.0, 0.0], 25.0)
@@ -145,8 +143,7 @@ def test_a_rod_that_rests_on_an_obstacle_is_lifted_off_it():
 
 
 def test_what_cannot_be_planned_is_refused():
-    own = some().take(np.array([0]))
-    two = some().take(np.array([0, 1]))
+    own, two = some().take(np.array([0])), some().take(np.array([0, 1]))
     for wrong, field in ((dict(rod=two.real), "rod"), (dict(targets=d.Targets(np.zeros((1, 5, 3)))), "targets"),
                          (dict(clamps=replace(own.clamps, end=d.Clamp.FREE)), "clamps"),
                          (dict(clamps=replace(own.clamps, end_position=own.clamps.end_position + 500.0)), "rod"),

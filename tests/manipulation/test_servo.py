@@ -95,8 +95,7 @@ def test_no_step_is_longer_than_allowed_nor_moves_a_held_gripper():
 def test_a_loop_does_not_depend_on_the_others():
     """Its poses are equal bit by bit, whatever is seen of the others and whether these snap or are refused steps."""
     own = some("finer mesh, clips, rest curvature")
-    alone = own.take(np.array([5]))
-    random = np.random.default_rng(2)
+    alone, random = own.take(np.array([5])), np.random.default_rng(2)
     together, one = servo_of(own), servo_of(alone)
     simulation = own.simulation()
     for _ in range(8):
@@ -140,8 +139,7 @@ def test_other_rods_come_nearer_too(held):
     goal = np.full((2, rods.edges + 1, 3), np.nan)
     goal[:, 1:-1] = own.goal if held == "vertex clamps" else own.goal[:, 1:-1]
     servo = d.Servo(rods, own.nominal, own.clamps, d.Targets(goal), options, **around)
-    before = servo.distance
-    model = d.Simulation(rods, own.nominal, own.clamps)
+    before, model = servo.distance, d.Simulation(rods, own.nominal, own.clamps)
     for _ in range(3):
         model.step(servo.step(model.state.configuration.vertices))
     assert (servo.distance < before - 15.0).all() and servo.vertices.shape == goal.shape
@@ -191,8 +189,7 @@ def test_marks_that_are_late_are_said_to_misfit():
     servo, simulation, random = servo_of(own), own.simulation(), np.random.default_rng(5)
     late = simulation.state.configuration
     for _ in range(15):
-        marks = own.marks(late, 11, random)
-        late = simulation.state.configuration
+        marks, late = own.marks(late, 11, random), simulation.state.configuration
         simulation.step(held(servo.step(marks), own.clip))
         far = np.sqrt(np.nanmean(np.sum((marks - own.goal) ** 2, axis=-1), axis=1)) > 0.5 + 4 * NOISE
         assert not (far & (servo.status == d.ServoStatus.REACHED)).any()

@@ -50,8 +50,7 @@ def loop():
 
 def recovered(scene, rows=slice(None), **arguments) -> Perception:
     rig, rods, maps = scene
-    rods = rods[rows]
-    some = DistanceMaps(maps.values, maps.window[rows])
+    rods, some = rods[rows], DistanceMaps(maps.values, maps.window[rows])
     return perceive(some, rig, rods[:, 0], 2.0 * (rods[:, 1] - rods[:, 0]), np.full(EDGES, 3.0), MATERIAL,
                     options=arguments.pop("options", OPTIONS), **arguments)
 
@@ -165,8 +164,7 @@ def greedily(score: np.ndarray, alike: np.ndarray, most: int) -> list[int]:
 
 
 def test_distinct_rods_are_ranked():
-    random = np.random.default_rng(3)
-    of_set = np.repeat([0, 1, 2], [6, 1, 9])
+    random, of_set = np.random.default_rng(3), np.repeat([0, 1, 2], [6, 1, 9])
     energy = random.random(16)
     energy[[2, 9]] = np.nan, np.inf
     vertices = random.normal(size=(16, 5, 3))
@@ -210,8 +208,7 @@ def test_a_finalist_that_is_no_certified_minimum_does_not_win(loop, monkeypatch)
 
 def test_bending_is_the_second_derivative_of_a_straight_rod_s_energy(rng):
     """Against finite differences of Σ |κb|²/l̄."""
-    lengths = rng.uniform(2, 4, 5)
-    turns = np.tile(np.eye(3)[:, 1:], (1, 5, 1, 1))
+    lengths, turns = rng.uniform(2, 4, 5), np.tile(np.eye(3)[:, 1:], (1, 5, 1, 1))
 
     def energy(turn: np.ndarray) -> float:
         tangents = np.concatenate([np.ones((5, 1)), np.concatenate([[[0.0, 0.0]], turn.reshape(4, 2)])], axis=1)
@@ -279,8 +276,7 @@ def test_directions_are_even_and_forward():
 
 
 def test_suppression_is_greedy():
-    directions = sampled_directions(60)
-    error = np.random.default_rng(4).random((7, 60))
+    directions, error = sampled_directions(60), np.random.default_rng(4).random((7, 60))
     error[2] = np.inf
     alike = directions @ directions.T > np.cos(np.radians(30))
     for found, row in zip(suppress_similar(error, directions, np.radians(30), 5), error, strict=True):
@@ -288,8 +284,7 @@ def test_suppression_is_greedy():
 
 
 def test_selection_is_greedy_in_every_set():
-    random = np.random.default_rng(5)
-    count = 90
+    random, count = np.random.default_rng(5), 90
     of_set = np.sort(random.integers(0, 4, count)) * 2  # sets without any hypothesis are allowed
     score, tip = random.random(count), random.random((count, 3)) * 3
     direction = unit_vectors(random.normal(size=(count, 3)))

@@ -32,8 +32,7 @@ def about_tangent(angle) -> np.ndarray:
 def test_the_curve_is_eq_4(made):
     """Sample by sample against F called the way an observation's own hypotheses are: another start, another clamp code."""
     options = TwistOptions(step=np.pi / 2, span=np.pi, precision="f64")
-    group = np.zeros(made.count, dtype=int)
-    offset = np.linspace(-0.5, 0.7, made.count)
+    group, offset = np.zeros(made.count, dtype=int), np.linspace(-0.5, 0.7, made.count)
     estimate = estimate_twist(made, MATERIAL, group, offset, options)
     clamps = replace(observation_clamps(made), end=Clamp.TANGENT)
     for place, phi in enumerate(options.angles):
@@ -122,13 +121,11 @@ def test_wrong_arguments_are_named(made):
 def test_total_twist_is_the_angle_between_transported_directors(made):
     """Against angles in the plane across each edge."""
     rod = chain(np.diff(made.vertices[2], axis=0), [0, 1, 0], 3.0, spin=np.linspace(0, 7.0, EDGES))
-    frames = rod.frames[0]
-    angles = []
+    frames, angles = rod.frames[0], []
     for before, after in zip(frames[:-1], frames[1:], strict=True):
         axis = np.cross(before[:, 0], after[:, 0])
         sine, cosine = np.linalg.norm(axis), before[:, 0] @ after[:, 0]
-        axis = axis / max(sine, 1e-300)
-        m1 = before[:, 1]
+        axis, m1 = axis / max(sine, 1e-300), before[:, 1]
         carried = m1 * cosine + np.cross(axis, m1) * sine + axis * (axis @ m1) * (1 - cosine)
         angles.append(angle_about(after[:, 0], carried, after[:, 1]))
     assert np.sum(angles) == pytest.approx(7.0)

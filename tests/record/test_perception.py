@@ -26,8 +26,7 @@ EDGES = 5
 @pytest.fixture
 def seen(rng) -> SeenRod:
     rod = curves(rng, 1, EDGES)[0]
-    fine = smooth_curve(rod, 4)
-    rig = three_cameras()
+    fine, rig = smooth_curve(rod, 4), three_cameras()
     images = [np.full((480, 640), 180, dtype=np.uint8) for _ in rig.cameras]
     return SeenRod("silk 42 mm", images, list(rig.project(fine)), fine, rod + [0, 0, 3.0], rod,
                    "likely, next best 0.05 px worse")
@@ -83,8 +82,7 @@ def test_picture_has_a_row_for_each_set(tmp_path, seen):
 
 
 def test_steps_are_taken_down_for_the_first_sets(rng):
-    taken = GrowthSteps(2)
-    quaternions = rng.normal(size=(6, 2, 4))
+    taken, quaternions = GrowthSteps(2), rng.normal(size=(6, 2, 4))
     quaternions /= np.linalg.norm(quaternions, axis=-1, keepdims=True)
     every = Hypotheses(np.array([0, 0, 1, 1, 2, 2]), quaternions, np.arange(6.0))
     taken.add(0, every.take(np.array([0, 2, 4])), every.take(np.array([1, 3, 5])))

@@ -92,8 +92,7 @@ def test_a_rod_that_is_nan_is_not_drawn_and_keeps_its_place(tmp_path, rng):
     expected = np.full(counts.shape, runs.VERTICES)
     expected[4:, 2], expected[:, 3] = 0, 0
     np.testing.assert_array_equal(counts, expected)
-    failed = int.from_bytes(bytes(FAILED))
-    colors = static["/world/rods"]["LineStrips3D:colors"][0]
+    failed, colors = int.from_bytes(bytes(FAILED)), static["/world/rods"]["LineStrips3D:colors"][0]
     assert [color >> 8 == failed for color in colors] == [False, False, True, True, False, False]
     assert [len(strip) for strip in static["/world/observations"]["LineStrips3D:strips"][0]] == [9, 8, 9, 9, 9, 9]
     for entity in (name for name in ROOT if name.startswith("/curves")):
@@ -139,8 +138,7 @@ def test_landscape_picture_surface_and_cells(swept):
     cells = moving["/landscape/cells"]["trial"]
     missing = int(np.flatnonzero(np.isnan(landscape.reshape(-1)))[0])
     assert cells["trial"] == [trial for trial in range(runs.BENDS * runs.RATIOS) if trial != missing]
-    places = np.array(cells["Points3D:positions"])[:, 0]
-    values = landscape.reshape(-1)[cells["trial"]]
+    places, values = np.array(cells["Points3D:positions"])[:, 0], landscape.reshape(-1)[cells["trial"]]
     np.testing.assert_allclose(places[:, 2], 0.6 * values / np.nanmax(landscape), rtol=1e-6)
     first, second, _ = np.unravel_index(cells["trial"], landscape.shape)
     np.testing.assert_allclose(places[:, 0], first / (runs.BENDS - 1), atol=1e-6)

@@ -112,8 +112,7 @@ AT = 10  # the mark at which the body hangs
 def cantilever(tilt: float, mass: float) -> np.ndarray:
     """(MARKS, 2) in m: marks of a rod clamped at ``tilt`` above the horizontal, its other end free, a body of ``mass`` kg at
     mark AT. EI θ'' = cos θ times all that hangs beyond, integrated from the free end, whose angle is found by bisection."""
-    weight = 1e-3 * GRAMS_PER_METRE * GRAVITY
-    s = np.linspace(0, LENGTH, MARKS)
+    weight, s = 1e-3 * GRAMS_PER_METRE * GRAVITY, np.linspace(0, LENGTH, MARKS)
 
     def from_end(angle: float) -> np.ndarray:
         state, found = np.array([angle, 0.0, 0.0, 0.0]), np.zeros((MARKS, 4))

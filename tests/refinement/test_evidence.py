@@ -35,8 +35,7 @@ def dense(evidence: Evidence, linear, scales):
     prior = np.linalg.inv(precision)
     # r + J x + Z z + ε = 0 with x about −offset: the observed part of −r.
     rows = np.concatenate([j[k] for j, k in zip(shared, keep, strict=True)])
-    covariance = rows @ prior @ rows.T
-    at = 0
+    covariance, at = rows @ prior @ rows.T, 0
     for z, k in zip(effects, keep, strict=True):
         size = k.sum()
         covariance[at : at + size, at : at + size] += z[k] @ np.diag(variance) @ z[k].T + np.diag(noise[k])

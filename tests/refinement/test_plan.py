@@ -39,8 +39,7 @@ def test_strength_is_how_far_marks_move(configurations):
     clamps = observation_clamps(configurations)
     start = start_configuration(configurations, clamps)
     narrow = Grid((parse_axis("--bend", "1.8e6:1.80001e6:2"), parse_axis("--twist", "1.2e6")))
-    found = plan(configurations, narrow, sigma=0.1, picks=3)
-    exact = Newton(tolerance=1e-9)
+    found, exact = plan(configurations, narrow, sigma=0.1, picks=3), Newton(tolerance=1e-9)
     step = 1e-4
     above, below = (relax(start, Material(BEND * factor, TWIST), clamps, exact).configuration.vertices
                     for factor in (1 + step, 1 - step))

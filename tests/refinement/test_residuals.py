@@ -21,8 +21,7 @@ from tests.refinement.rods_between_clips import TRUTH, held, model, suture
 def test_edges_share_what_lies_between_the_clips(kinds, count):
     rod = held(suture(1), 40, kinds)
     clip, spacing = np.array([1.7, 3.1]), rod.observations.rest_length
-    mesh = rod.mesh(Lengths(clip, spacing))
-    free = 99.0 - clip[rod.clamped].sum()
+    mesh, free = rod.mesh(Lengths(clip, spacing)), 99.0 - clip[rod.clamped].sum()
     assert mesh.edge == pytest.approx(free / count)
     if rod.clamped[0]:  # the middle of the first edge is where the clip lets go
         assert mesh.place[:2].mean() == pytest.approx(1.7)
@@ -52,8 +51,7 @@ def test_turns_and_their_jacobian(rng):
 
 
 def test_the_field_is_linear_between_knots_and_its_covariance_slopes_as_it_says(rng):
-    knots = np.sort(rng.uniform(0, 90, 8))
-    values = rng.normal(size=8)
+    knots, values = np.sort(rng.uniform(0, 90, 8)), rng.normal(size=8)
     place = np.linspace(-5, 95, 23)
     weights, slopes = values_at(place, knots)
     np.testing.assert_allclose(weights @ values, np.interp(place, knots, values), atol=1e-12)

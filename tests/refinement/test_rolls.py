@@ -43,8 +43,7 @@ def probability(fitted: Fitted, scales, x: np.ndarray, fit: Fit) -> float:
 
 
 def test_all_windows_together_are_as_good_as_uniform():
-    roll = np.linspace(0, 2 * np.pi, 500)
-    turns = 2 * np.pi * np.arange(-3, 4)
+    roll, turns = np.linspace(0, 2 * np.pi, 500), 2 * np.pi * np.arange(-3, 4)
     density = np.exp(-0.5 * ((roll[:, None, None] - NODES[:, None] - turns) / WINDOW) ** 2).sum(axis=(1, 2))
     assert density.max() / density.min() < 1.05
 

@@ -18,8 +18,7 @@ from tests.refinement.rods_between_clips import TRUTH, held, suture
 
 
 def fit_of(seen: Observations) -> tuple[Fit, Values, Scales]:
-    unknowns = Unknowns(held(seen), ("bend", "twist"))
-    spacing = float(seen.rest_length[0])
+    unknowns, spacing = Unknowns(held(seen), ("bend", "twist")), float(seen.rest_length[0])
     scales = typical_scales(unknowns.rod.length, spacing, unknowns.scale_names | {"marks", "gap"}, {})
     values = unknowns.begun(TRUTH, unknowns.clip_prior)
     return Fit(Comparison.of(unknowns, False), values, Newton()), values, scales

@@ -89,8 +89,7 @@ def test_motions_are_recorded(tmp_path, rod):
 
     rerun.set_strict_mode(True)
     for rods in alone_and_beside_another(rod):
-        count = len(rods)
-        positions = np.repeat(rods[:, None], 3, axis=1)
+        count, positions = len(rods), np.repeat(rods[:, None], 3, axis=1)
         record_rollout(tmp_path / "rods.rrd", "rods", ["a", "b"][:count], positions, positions, 10.0, UP)
         record_motion(tmp_path / "motion.rrd", run_id="m", name="rods", rods=moving(positions), curves={}, text="")
         run = runs.relaxation(np.random.default_rng(1))

@@ -112,8 +112,7 @@ def test_a_kernel_that_is_compiled_briefly_changes_no_setting():
     import taichi as ti
 
     runtime.start()
-    settings = ti.lang.impl.current_cfg()
-    seen = []
+    settings, seen = ti.lang.impl.current_cfg(), []
 
     @runtime.compiled_briefly
     def kernel(number: int) -> None:

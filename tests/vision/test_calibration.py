@@ -95,8 +95,7 @@ def test_invalid_boards_are_refused(text, word):
 
 
 def test_the_world_is_the_first_board_or_the_first_camera(rng):
-    rig = around()
-    placed = poses(CHESSBOARD, 8, rng)
+    rig, placed = around(), poses(CHESSBOARD, 8, rng)
     seen = sightings(CHESSBOARD, rig, placed, 1e-3, rng)
     board = calibrated(seen, 8)
     np.testing.assert_allclose(board.rotations[0], np.eye(3), atol=1e-14)
@@ -149,8 +148,7 @@ def test_uncertainties_match_the_errors(rng):
 
 
 def test_adjustment_comes_back_from_afar(rng):
-    rig = around()
-    placed = poses(CHESSBOARD, 6, rng)
+    rig, placed = around(), poses(CHESSBOARD, 6, rng)
     seen = sightings(CHESSBOARD, rig, placed, 0.0, rng)
     true = Bundle(rig.cameras, *(np.array(part) for part in zip(*placed)))
     free = np.ones(3 * 15 + 6 * 6, dtype=bool)

@@ -136,8 +136,7 @@ def test_a_line_lies_and_is_as_wide_as_the_projection_says(diameter):
     for camera in small_rig().cameras:
         image = 200 - draw(camera, [Tube(curve, diameter / 2, 50.0)], np.full((360, 480), 200.0), UP, 0.0)
         image = cv2.GaussianBlur(image, (0, 0), 1.0).astype(np.float64)
-        line = camera.project(curve)[20:-20:3]
-        across = np.arange(-15, 15.01, 0.25)
+        line, across = camera.project(curve)[20:-20:3], np.arange(-15, 15.01, 0.25)
         at = line[:, None] + across[:, None] * normals(camera.project(curve))[20:-20:3, None]
         spline = map_coordinates(image, [at[..., 1], at[..., 0]], order=3)  # without OpenCV's rounding of places
         mass = spline.sum(axis=1)

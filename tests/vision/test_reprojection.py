@@ -177,8 +177,7 @@ def assigned() -> AssignedPoints:
     shape = (ROWS, 3, EDGES, PLACES)
     middle = np.array([camera.project(np.zeros((1, 3)))[0] for camera in rig.cameras])
     points = middle[None, :, None, None] + rng.normal(0, 6.0, (*shape, 2))
-    angle = rng.uniform(0, np.pi, shape)
-    weight = rng.uniform(0.5, 2.0, shape)
+    angle, weight = rng.uniform(0, np.pi, shape), rng.uniform(0.5, 2.0, shape)
     weight[1, 0, 2] = 0.0
     return AssignedPoints(rig, points, np.stack([np.cos(angle), np.sin(angle)], axis=-1), weight, NU_BACK, 0.1, 3.0)
 

@@ -47,8 +47,7 @@ def test_it_is_the_least_squares_point(rng):
 def test_a_point_does_not_depend_on_the_others(rng):
     rig, _, pixels = seen(rng, 50)
     pixels[1, 7] += [25, -10]
-    together = triangulate(rig, pixels, SURE)
-    order = rng.permutation(50)
+    together, order = triangulate(rig, pixels, SURE), rng.permutation(50)
     shuffled = triangulate(rig, pixels[:, order], SURE)
     np.testing.assert_allclose(shuffled.position, together.position[order], atol=1e-9)
     np.testing.assert_array_equal(shuffled.status, together.status[order])
@@ -180,8 +179,7 @@ def written(folder, rows, header: str = HEADER):
 
 
 def test_marks_come_back_in_their_order(tmp_path, rng):
-    rig = around()
-    pixels = rng.uniform(0, 400, (3, 2, 4, 1, 2))
+    rig, pixels = around(), rng.uniform(0, 400, (3, 2, 4, 1, 2))
     pixels[1, 1, 2] = np.nan
     rows = [(f"take {'ba'[d]}", rig.names[c], v, *pixels[c, d, v, 0].tolist())
             for d in range(2) for c in range(3) for v in range(4) if np.isfinite(pixels[c, d, v, 0, 0])]
