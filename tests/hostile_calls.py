@@ -55,8 +55,7 @@ def theta() -> d.MotionTheta:
 def objects() -> dict[str, list]:
     """Sound objects of each class, some of which do not match others."""
     rig, _, maps = image()
-    grippers = d.Grippers.resting(CLAMPS, 4)
-    plane = d.Plane((0, 0, -150), (0, 0, 1))
+    grippers, plane = d.Grippers.resting(CLAMPS, 4), d.Plane((0, 0, -150), (0, 0, 1))
     lost = replace(ROPE, quaternions=np.full_like(ROPE.quaternions, np.nan))
     theta_fit = d.Theta(1e6 * np.eye(2), 1e6)
     axes = (d.Axis("bend", np.array([1e5, 1e6])), d.Axis("twist", np.array([1e5, 1e6])))
@@ -247,8 +246,7 @@ def of_rows(value: object, rows: np.ndarray) -> object:
 
 def calls(count: int, seed: int, without: Collection[str] = ()) -> Iterator[tuple[str, Callable, dict, str]]:
     """(name, function, arguments, what was done to them), the same for the same seed; of all but some."""
-    rng = np.random.default_rng(seed)
-    every = constructors() | functions()
+    rng, every = np.random.default_rng(seed), constructors() | functions()
     names = sorted(set(every).difference(without))
     weights = np.array([1.0 / SLOW.get(name, 1) for name in names])
     several = [one for many in objects().values() for one in many]

@@ -40,7 +40,6 @@ def layer(name: str) -> str:
 
 
 def statements(block: ast.AST) -> Iterator[ast.AST]:
-    """All statements in a block of a syntax tree."""
     for part in ("body", "handlers", "orelse", "finalbody"):
         for node in getattr(block, part, []):
             yield node
@@ -64,7 +63,6 @@ def imported(path: Path) -> set[str]:
 
 
 def own(path: Path) -> set[str]:
-    """Rooms of this package that a file imports from."""
     return {layer(name.removeprefix("doo_ti.")) for name in imported(path) if name.startswith("doo_ti.")}
 
 
@@ -118,7 +116,6 @@ def test_one_place_starts_taichi_and_makes_kernels():
 
 
 def test_no_file_postpones_annotations():
-    """Postponed annotations break Taichi's kernels."""
     files = [path for folder in ("doo_ti", "tests", "tools") for path in (ROOT / folder).rglob("*.py")]
     assert len(files) > 50
     for path in files:
@@ -129,14 +126,12 @@ def test_no_file_postpones_annotations():
 def test_importing_costs_nothing_heavy(module):
     """Heavy libraries are imported where they are used: taichi 1 s, rerun 0.5 s."""
     heavy = ["taichi", "rerun", "cv2", "matplotlib", "pyarrow", "dask", "scipy", "jax", "distributed", "trimesh"]
-    script = f"import sys, {module}; print([name for name in {heavy} if name in sys.modules])"
-    result = python("-c", script)
+    result = python("-c", f"import sys, {module}; print([name for name in {heavy} if name in sys.modules])")
     assert result.returncode == 0, result.stderr
     assert result.stdout.strip() == "[]"
 
 
 def test_every_room_is_installed():
-    """The packages that pyproject.toml names are the folders with modules, and the scenes."""
     named = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["setuptools"]["packages"]
     rooms = {".".join(file.parent.relative_to(ROOT).parts) for file in PACKAGE.rglob("*.py")}
     assert set(named) == rooms | {"doo_ti.scenes"}

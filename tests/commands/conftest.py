@@ -1,4 +1,4 @@
-"""A file that a command writes appears when it is complete: whichever test runs the command, none is opened by its own name."""
+"""Commands run in an empty folder; a file that one writes appears when it is complete: none is opened by its own name."""
 
 import os
 import sys
@@ -25,7 +25,8 @@ sys.addaudithook(_watch)
 
 
 @pytest.fixture(autouse=True)
-def written_whole(tmp_path):
+def written_whole(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
     opened.clear()
     yield
     assert [path for path in opened if Path(path).is_relative_to(tmp_path) and not path.endswith(".part")] == []

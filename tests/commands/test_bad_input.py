@@ -21,23 +21,20 @@ KEYS = {
 @pytest.mark.parametrize("case", KEYS)
 def test_wrong_keys(capsys, tmp_path, case):
     field, change, problem = KEYS[case]
-    keys = good_keys()
-    path = tmp_path / "bad.npz"
-    np.savez(path, **keys | {field: change(keys[field])})
+    np.savez("bad.npz", **good_keys() | {field: change(good_keys()[field])})
     for command, out in (("relax", "F.npz"), ("sweep", "run")):
-        refused(capsys, tmp_path, [command, str(path), *MATERIAL, "--out", str(tmp_path / out)], str(path), field, problem)
+        refused(capsys, tmp_path, [command, "bad.npz", *MATERIAL, "--out", out], "bad.npz", field, problem)
 
 
-def test_files_that_are_not_there_or_those_of_another_command(capsys, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "scene.toml").write_text('[observations]\nfile = "absent.npz"\n[grid]\nbend = 3\n')
+def test_files_that_are_not_there_or_those_of_another_command(capsys, tmp_path):
+    Path("scene.toml").write_text('[observations]\nfile = "absent.npz"\n[grid]\nbend = 3\n')
     for words, expected in (("relax absent.npz --bend 1 --out F.npz", ("absent.npz", "no such file")),
                             ("relax . --bend 1 --out F.npz", ("is a folder",)),
                             ("sweep absent.toml --out run", ("absent.toml", "no such file")),
                             ("sweep scene.toml --out run", ("absent.npz", "no such file")),
                             ("learn absent", ("summary.json", "no such file")), ("view absent", ("absent", "no such file")),
                             ("group scenes/motion/whip.toml --out F.npz", ("this is a scene of another command",))):
-        refused(capsys, tmp_path, words.split(), *expected)
+        refused(capsys, tmp_path, words, *expected)
 
 
 # ---- options of relax and sweep in a valid command line, and words of the message; texts of grids: tests/rod/test_grid.py
@@ -79,7 +76,7 @@ def test_wrong_options(capsys, tmp_path, case):
     words, *expected = OPTIONS.get(case) or GRIDS[case]
     npz_bytes(tmp_path)
     command, own, out = ("relax", MATERIAL, "F.npz") if case in OPTIONS else ("sweep", [], "run")
-    refused(capsys, tmp_path, [command, str(tmp_path / "good.npz"), *own, "--out", str(tmp_path / out), *words], *expected)
+    refused(capsys, tmp_path, [command, "good.npz", *own, "--out", str(tmp_path / out), *words], *expected)
 
 
 def test_unknown_command(capsys, tmp_path):
@@ -88,35 +85,29 @@ def test_unknown_command(capsys, tmp_path):
         refused(capsys, tmp_path, argv, word)
 
 
-# ---- outputs
-
 def test_outputs_that_cannot_be(capsys, tmp_path):
     npz_bytes(tmp_path)
-    good, below = str(tmp_path / "good.npz"), str(tmp_path / "good.npz" / "deep" / "F.npz")
-    (tmp_path / "folder.npz").mkdir()
-    commands = {
-        "relax": ["relax", good, *MATERIAL, "--out"], "sweep": ["sweep", good, "--bend", "1e5:1e6:3", "--out"],
-        "convert": ["convert", good],
-        "synth": ["synth", str(Path(__file__).resolve().parents[2] / "scenes" / "silk.toml"), "--out"]}
-    named = {name: "OUT" if name == "convert" else "--out" for name in commands}
-    for name, argv in commands.items():
-        refused(capsys, tmp_path, [*argv, below], named[name], "good.npz", "is a file")
-    refused(capsys, tmp_path, [*commands["sweep"], good], "--out", "good.npz")
-    for name in ("relax", "convert"):
-        refused(capsys, tmp_path, [*commands[name], good], named[name], "is the input itself")
-    refused(capsys, tmp_path, [*commands["sweep"], ""], "--out", "is not a folder")
-    for name in ("relax", "convert", "synth"):
-        refused(capsys, tmp_path, [*commands[name], str(tmp_path / "folder.npz")], named[name], "is a folder")
-        refused(capsys, tmp_path, [*commands[name], str(tmp_path / "F.txt")], "suffix '.txt'")
-    (tmp_path / "dangling").symlink_to(tmp_path / "missing")
-    refused(capsys, tmp_path, [*commands["sweep"], str(tmp_path / "dangling" / "run")], "--out", "dangling")
+    Path("folder.npz").mkdir()
+    Path("dangling").symlink_to("missing")
+    sweep = "sweep good.npz --bend 1e5:1e6:3 --out"
+    for command in (f"relax good.npz {' '.join(MATERIAL)} --out", sweep, "convert good.npz", "synth silk --out"):
+        named = "OUT" if command == "convert good.npz" else "--out"
+        refused(capsys, tmp_path, f"{command} good.npz/deep/F.npz", named, "good.npz", "is a file")
+        if command != sweep:
+            refused(capsys, tmp_path, f"{command} folder.npz", named, "is a folder")
+            refused(capsys, tmp_path, f"{command} F.txt", "suffix '.txt'")
+            if "good" in command:
+                refused(capsys, tmp_path, f"{command} good.npz", named, "is the input itself")
+    refused(capsys, tmp_path, f"{sweep} good.npz", "--out", "good.npz")
+    refused(capsys, tmp_path, [*sweep.split(), ""], "--out", "is not a folder")
+    refused(capsys, tmp_path, f"{sweep} dangling/run", "--out", "dangling")
 
 
 def test_outputs_that_may_not_be(capsys, tmp_path, monkeypatch):
     npz_bytes(tmp_path)
     monkeypatch.setattr(os, "access", lambda path, mode: False)
-    for argv in (["relax", str(tmp_path / "good.npz"), *MATERIAL, "--out", str(tmp_path / "F.npz")],
-                 ["sweep", str(tmp_path / "good.npz"), *MATERIAL, "--out", str(tmp_path / "new" / "run")]):
+    for command, out in (("relax", "F.npz"), ("sweep", "new/run")):
+        argv = [command, tmp_path / "good.npz", *MATERIAL, "--out", tmp_path / out]
         refused(capsys, tmp_path, argv, "--out", str(tmp_path), "not writable")
 
 

@@ -1,9 +1,9 @@
-"""doo-ti calibrate: images of a board to a rig file; doo-ti triangulate: labelled marks to observations that the other commands
-read."""
+"""doo-ti calibrate: images of a board to a rig file; doo-ti triangulate: labelled marks to observations."""
 
 import json
 import re
 from dataclasses import replace
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -26,8 +26,7 @@ TEXT = "chessboard:9x6:10"
 @pytest.fixture(scope="module")
 def pictures(tmp_path_factory):
     """A folder with images of four views by three cameras; cam2 misses view 2, and cam0's image of view 3 is blank."""
-    folder = tmp_path_factory.mktemp("views")
-    rng = np.random.default_rng(SEED)
+    folder, rng = tmp_path_factory.mktemp("views"), np.random.default_rng(SEED)
     lines = ["view,cam0,cam1,cam2"]
     for view, (turn, place) in enumerate(poses(BOARD, 4, rng)):
         names = []
@@ -42,8 +41,7 @@ def pictures(tmp_path_factory):
 
 
 def test_a_rig_from_images(pictures, tmp_path, capsys):
-    out = tmp_path / "new" / "rig.yaml"
-    argv = ["calibrate", str(pictures / "views.csv"), "--board", TEXT, "--out", str(out)]
+    out, argv = Path("new/rig.yaml"), f"calibrate {pictures}/views.csv --board {TEXT} --out new/rig.yaml"
     printed = succeeded(capsys, argv)
     assert "3 cameras" in printed and "4 views" in printed and "540 corners" in printed and "1 of 11 images" in printed
     found, content, middle = load_rig(out), out.read_bytes(), BOARD.points.mean(axis=0)
@@ -51,11 +49,11 @@ def test_a_rig_from_images(pictures, tmp_path, capsys):
     for camera, truth in zip(found.cameras, RIG.cameras):
         assert (camera.width, camera.height) == (640, 480)
         assert np.linalg.norm(camera.centre - truth.centre - middle) < 0.5
-    summary = json.loads(succeeded(capsys, [*argv, "--json"]))
+    summary = json.loads(succeeded(capsys, f"{argv} --json"))
     assert out.read_bytes() == content and summary["rms_px"] < 0.3 and len(summary["images"]) == 11
     assert summary["without_board"] == [{"view": "view3", "camera": "cam0", "corners": 0, "rms_px": None}]
     assert summary["worst"]["rms_px"] == max(image["rms_px"] or 0 for image in summary["images"])
-    cameras = json.loads(succeeded(capsys, [*argv, "--json", "--world", "camera", "--distortion", "2"]))["cameras"]
+    cameras = json.loads(succeeded(capsys, f"{argv} --json --world camera --distortion 2"))["cameras"]
     assert cameras[0]["centre_mm"] == [0, 0, 0] and cameras[0]["centre_sigma_mm"] == [0, 0, 0]
     assert cameras[1]["distortion"][2:] == [0, 0, 0] and min(cameras[2]["centre_sigma_mm"]) > 0
 
@@ -80,17 +78,15 @@ TABLES = {
 @pytest.mark.parametrize("case", TABLES)
 def test_wrong_lists_of_views(capsys, tmp_path, case):
     text, problem = TABLES[case]
-    (tmp_path / "views.csv").write_text(text)
-    argv = ["calibrate", str(tmp_path / "views.csv"), "--board", TEXT, "--out", str(tmp_path / "rig.yaml")]
-    refused(capsys, tmp_path, argv, "views.csv", problem)
+    Path("views.csv").write_text(text)
+    refused(capsys, tmp_path, f"calibrate views.csv --board {TEXT} --out rig.yaml", "views.csv", problem)
 
 
 def test_wrong_images(capsys, tmp_path):
     blank, small = np.full((480, 640), 90, np.uint8), np.full((240, 320), 90, np.uint8)
     for name, image in (("a.png", blank), ("b.png", blank), ("small.png", small)):
-        cv2.imwrite(str(tmp_path / name), image)
-    views = tmp_path / "views.csv"
-    argv = ["calibrate", str(views), "--board", TEXT, "--out", str(tmp_path / "rig.yaml")]
+        cv2.imwrite(name, image)
+    views, argv = Path("views.csv"), f"calibrate views.csv --board {TEXT} --out rig.yaml"
     for second, words in (("small.png", ["small.png", "size", "320 x 240 px, but cam0's first image has 640 x 480"]),
                           ("b.png", ["views.csv", "cam0", "the board was found in 0 of its images"])):
         views.write_text(f"view,cam0,cam1\none,a.png,b.png\ntwo,{second},b.png\n")
@@ -110,25 +106,22 @@ OPTIONS = {
 @pytest.mark.parametrize("case", OPTIONS)
 def test_wrong_options(capsys, pictures, tmp_path, case):
     words, *expected = OPTIONS[case]
-    argv = ["calibrate", str(pictures / "views.csv"), "--board", TEXT, "--out", str(tmp_path / "rig.yaml"), *words]
-    refused(capsys, tmp_path, argv, *expected)
+    refused(capsys, tmp_path, [*f"calibrate {pictures}/views.csv --board {TEXT} --out rig.yaml".split(), *words], *expected)
 
 
 def rows_of(marks: np.ndarray, rng, noise: float = 0.3) -> list[list]:
     """Rows of a file for (D, V, 3) marks, or (D, V, 2, 3) on both edges of ribbons."""
     pixels = RIG.project(marks)
-    pixels = pixels + rng.normal(0, noise, pixels.shape)
-    rows = []
+    pixels, rows = pixels + rng.normal(0, noise, pixels.shape), []
     for at in np.ndindex(*pixels.shape[:-1]):
         camera, observation, vertex, *side = at
         rows.append([f"pose{observation}", RIG.names[camera], f"{vertex}{'LR'[side[0]] if side else ''}", *pixels[at].tolist()])
     return rows
 
 
-def prepared(folder, rows) -> list[str]:
-    """The command on a rig and these rows."""
+def prepared(folder, rows) -> str:
     save_rig(folder / "rig.yaml", RIG)
-    return ["triangulate", str(written(folder, rows)), "--rig", str(folder / "rig.yaml")]
+    return f"triangulate {written(folder, rows)} --rig {folder}/rig.yaml"
 
 
 def test_marks_become_observations(tmp_path, rng, capsys):
@@ -138,22 +131,18 @@ def test_marks_become_observations(tmp_path, rng, capsys):
     next(row for row in rows if row[:3] == ["pose1", "cam2", "4"])[3] += 25.0
     unlabelled = (["pose2", "cam0", "9"], ["pose0", "cam0", "3"], ["pose0", "cam2", "3"])
     rows = [row for row in rows if row[:3] not in unlabelled]
-    (tmp_path / "labels.csv").write_text("observation,end_distance_mm,end_rotation_deg,total_twist_deg\n" + "".join(
+    Path("labels.csv").write_text("observation,end_distance_mm,end_rotation_deg,total_twist_deg\n" + "".join(
         f"pose{d},{30 + 12 * d},{30 * d},{400 * d}\n" for d in range(3)))
-    out = tmp_path / "new" / "silk.npz"
-    argv = [*prepared(tmp_path, rows), "--out", str(out), "--sigma-px", "0.3", "--labels", str(tmp_path / "labels.csv"),
-            "--up", "0,-1,0"]
+    argv = f"{prepared(tmp_path, rows)} --out new/silk.npz --sigma-px 0.3 --labels labels.csv --up 0,-1,0"
     written(tmp_path, [[*row, "note"] for row in rows], HEADER.replace("\n", ",remark\n"))  # a column more is no matter
     printed = succeeded(capsys, argv)
-    assert "3 observations" in printed and "29 of 30" in printed
-    assert re.search("outlier .*pose1.* 4.*cam2", printed)
-    found = load_observations(out)
+    assert "3 observations" in printed and "29 of 30" in printed and re.search("outlier .*pose1.* 4.*cam2", printed)
+    found = load_observations("new/silk.npz")
     assert found.name == "silk" and np.argwhere(~found.valid).tolist() == [[0, 3]]
     assert (np.linalg.norm(found.vertices - vertices, axis=-1)[found.valid] / found.sigma[found.valid]).max() < 8
     assert found.end_distance.tolist() == [30, 42, 54] and found.up.tolist() == [0, -1, 0]
     np.testing.assert_allclose(found.total_twist, np.radians([0, 400, 800]))
-
-    summary = json.loads(succeeded(capsys, [*argv, "--json"]))
+    summary = json.loads(succeeded(capsys, f"{argv} --json"))
     assert summary["names"] == ["pose0", "pose1", "pose2"]
     assert summary["marks"] == {"triangulated": 28, "outlier_left_out": 1, "few_views": 1}
     (outlier,) = summary["outliers"]
@@ -163,11 +152,9 @@ def test_marks_become_observations(tmp_path, rng, capsys):
 
 
 def test_a_ribbon_is_ready_to_be_relaxed(tmp_path, rng, capsys):
-    vertices, _, edges = ribbon(rng)
-    out = tmp_path / "ribbon.csv"
-    printed = succeeded(capsys, [*prepared(tmp_path, rows_of(edges, rng)), "--out", str(out)])
+    printed = succeeded(capsys, f"{prepared(tmp_path, rows_of(ribbon(rng)[2], rng))} --out ribbon.csv")
     assert "a ribbon" in printed and "0 carried over" in printed and "start_frame and end_frame" in printed
-    found = load_observations(out)
+    found = load_observations("ribbon.csv")
     assert found.frames.shape == (4, 11, 3, 3) and found.sigma.shape == (4, 12)
     clamps = observation_clamps(found)
     assert clamps.start == clamps.end == Clamp.FRAME
@@ -179,19 +166,19 @@ def test_two_labels_that_contradict_each_other_are_reported(tmp_path, rng, capsy
     rows = [row for row in rows_of(vertices - vertices.mean(axis=1, keepdims=True), rng) if row[1] != "cam2"]
     rows[2][4] += 60
     rows[2][3] += 60
-    argv = [*prepared(tmp_path, rows), "--out", str(tmp_path / "F.npz")]
+    argv = f"{prepared(tmp_path, rows)} --out F.npz"
     refused(capsys, tmp_path, argv, "no observation has positions for both 1 and 2", "--rest-length")
-    printed = succeeded(capsys, [*argv, "--rest-length", "3"])
+    printed = succeeded(capsys, f"{argv} --rest-length 3")
     assert re.search("contradictory .*pose0.* 2.*cam0", printed) and "cam1" in printed and "1 contradictory" in printed
-    found = load_observations(tmp_path / "F.npz")
+    found = load_observations("F.npz")
     assert not found.valid[0, 2] and found.rest_length.tolist() == [3, 3, 3, 3]
-    assert main([*argv, "--threshold", "500"]) == 0 and load_observations(tmp_path / "F.npz").valid.all()
+    assert main([*argv.split(), "--threshold", "500"]) == 0 and load_observations("F.npz").valid.all()
 
 
 def test_wrong_options_of_triangulate(capsys, tmp_path):
     argv = prepared(tmp_path, good_rows())
-    refused(capsys, tmp_path, [*argv, "--out", str(tmp_path / "marks.csv")], "--out", "the input itself")
-    refused(capsys, tmp_path, [*argv, "--out", str(tmp_path / "F.npz"), "--threshold", "-1"], "threshold", "positive")
+    refused(capsys, tmp_path, f"{argv} --out marks.csv", "--out", "the input itself")
+    refused(capsys, tmp_path, f"{argv} --out F.npz --threshold -1", "threshold", "positive")
 
 
 @pytest.mark.parametrize("spoil, option", [
@@ -199,15 +186,11 @@ def test_wrong_options_of_triangulate(capsys, tmp_path):
     (lambda camera: (camera.rotation, camera.translation / 1000), "--rig-unit m")])
 def test_a_rig_in_metres_or_of_poses_in_the_world_is_recognised(capsys, tmp_path, rng, spoil, option):
     vertices = wavy_vertices(rng, count=2, marks=8)
-    rows = rows_of(vertices - vertices.mean(axis=1, keepdims=True), rng)
-    argv = [*prepared(tmp_path, rows), "--out", str(tmp_path / "F.npz")]
-    cameras = []
-    for camera in RIG.cameras:
-        rotation, translation = spoil(camera)
-        cameras.append(replace(camera, rotation=rotation, translation=translation))
-    save_rig(tmp_path / "rig.yaml", Rig(tuple(cameras)))
-    capsys.readouterr()
+    vertices -= vertices.mean(axis=1, keepdims=True)
+    argv = f"{prepared(tmp_path, rows_of(vertices, rng))} --out F.npz"
+    poses = [spoil(camera) for camera in RIG.cameras]
+    save_rig(tmp_path / "rig.yaml", Rig(tuple(replace(camera, rotation=turn, translation=shift)
+                                              for camera, (turn, shift) in zip(RIG.cameras, poses))))
     refused(capsys, tmp_path, argv, "rig.yaml", option)
-    assert main([*argv, *option.split()]) == 0
-    found = load_observations(tmp_path / "F.npz").vertices
-    np.testing.assert_allclose(found, vertices - vertices.mean(axis=1, keepdims=True), atol=1.0)
+    succeeded(capsys, f"{argv} {option}")
+    np.testing.assert_allclose(load_observations("F.npz").vertices, vertices, atol=1.0)

@@ -1,35 +1,28 @@
 """``--obstacles`` of the commands, and scenes of rods that touch themselves: what is written, and what is refused."""
 
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
 
-from doo_ti import Cylinder, Observations, save_observations
+from doo_ti import Cylinder, Observations, Surroundings, save_observations
 from doo_ti.commands import loading
 from doo_ti.commands.cli import main
 from doo_ti.commands.doubts import inside_doubt, mesh_doubt
-from doo_ti.contact.surroundings import Surroundings
-from tests.commands.calls import made, refused, succeeded, written
+from tests.commands.calls import ended, refused, succeeded, written
 
 PLANE = '[[obstacles]]\nkind = "plane"\npoint = [0, 0, 0]\nnormal = [0, 0, 1]\n'
 MATERIAL = ["--bend", "6e5", "--precision", "f64", "--clamp-end", "free"]
 SCENE = """
 rate_hz = 50
 duration_s = 0.3
-[rod]
-length_mm = 200.0
-edges = 10
-position_mm = [0, 0, 20]
-radius_mm = 2.0
-[materials.rope]
-bend = 4e5
-bend_damping_s = 0.02
-drag_per_s = 5.0
-[[moments]]
-time_s = 0.3
-start_position_mm = [-20, 0, 20]
+rod = { length_mm = 200.0, edges = 10, position_mm = [0, 0, 20], radius_mm = 2.0 }
+materials.rope = { bend = 4e5, bend_damping_s = 0.02, drag_per_s = 5.0 }
+moments = [{ time_s = 0.3, start_position_mm = [-20, 0, 20] }]
 """
+GROUP = "radius_mm = 2.0\nmaterials.rope.bend = 4e5\nrods.one = { edges = 10, length_mm = 200.0 }\n"
+THIN = 'obstacles = [{ kind = "cylinder", start = [9, -40, -9], end = [9, 40, -9], radius = 16 }]'
 
 
 def test_doubts_about_obstacles_are_said():
@@ -42,18 +35,8 @@ def test_doubts_about_obstacles_are_said():
         "the axis of observation low is 7 mm inside an obstacle")
 
 
-GROUP = """
-radius_mm = 2.0
-[materials.rope]
-bend = 4e5
-[rods.one]
-edges = 10
-length_mm = 200.0
-"""
-
-
 @pytest.mark.parametrize("command", ["simulate", "predict", "group"])
-def test_scenes_too_coarse_for_an_obstacle_are_warned_of(tmp_path, monkeypatch, command):
+def test_scenes_too_coarse_for_an_obstacle_are_warned_of(monkeypatch, command):
     said = []
 
     def warn(text):
@@ -61,23 +44,16 @@ def test_scenes_too_coarse_for_an_obstacle_are_warned_of(tmp_path, monkeypatch, 
         raise KeyboardInterrupt  # nothing need be computed
 
     monkeypatch.setattr(loading.terminal, "warn", warn)
-    file = tmp_path / "thin.toml"
-    file.write_text((GROUP if command == "group" else SCENE) + """[[obstacles]]
-kind = "cylinder"
-start = [9, -40, -9]
-end = [9, 40, -9]
-radius = 16
-""")
-    assert main([command, str(file), "--out", str(tmp_path / "f.npz")]) == 1
-    assert all(words in said[0] for words in ("edges of 20 mm", "give 12 edges", str(file)))
+    Path("thin.toml").write_text((GROUP if command == "group" else SCENE) + THIN)
+    assert main([command, "thin.toml", "--out", "f.npz"]) == 1
+    assert all(words in said[0] for words in ("edges of 20 mm", "give 12 edges", "thin.toml"))
 
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     """Rods held 10 and 60 mm above a table, one below it, and one that goes through it; the table, without friction and with
     it; a motion."""
-    folder = tmp_path_factory.mktemp("contact")
-    x = np.linspace(0, 100, 11)
+    folder, x = tmp_path_factory.mktemp("contact"), np.linspace(0, 100, 11)
     rods = np.stack([np.stack([x, 0 * x, height + 0 * x], axis=1) for height in (10.0, 60.0, -10.0)])
     steep = np.array([10.0, 10, 6, 1, -4, -9, -14, -19, -24, -29, -34])
     rods = np.concatenate([rods, np.stack([np.cumsum(np.r_[0, 10, np.full(9, 8.7)]), 0 * x, steep], axis=1)[None]])
@@ -92,10 +68,9 @@ def folder(tmp_path_factory):
     return folder
 
 
-def test_relax_writes_forces_and_gaps_and_counts_infeasible_rods(folder, tmp_path, capsys):
-    words = ["relax", str(folder / "rods.npz"), *MATERIAL, "--obstacles", str(folder / "table.toml"), "--radius", "2"]
-    found = made([*words, "--out", str(tmp_path / "f.npz")])
-    printed, warned = capsys.readouterr()
+def test_relax_writes_forces_and_gaps_and_counts_infeasible_rods(folder, capsys):
+    words = f"relax {folder}/rods.npz {' '.join(MATERIAL)} --obstacles {folder}/table.toml --radius 2 --out f.npz"
+    (printed, warned), found = ended(capsys, words), written("f.npz")
     assert "inside an obstacle" in warned and "contact     2 of 4 rods touch an obstacle; smallest gap " in printed
     assert "mm; 1 infeasible" in printed and "3 converged, 1 infeasible" in printed
     assert "infeasible  the c" in printed and "mm inside a Plane" in printed
@@ -103,17 +78,16 @@ def test_relax_writes_forces_and_gaps_and_counts_infeasible_rods(folder, tmp_pat
     assert np.isnan(found["distance_mm"]).tolist() == [False, False, True, False]
     assert (found["contact_force"][[0, 3], :, 2].max(axis=1) > 1).all() and not found["contact_force"][[1, 2]].any()
     assert abs(found["smallest_gap_mm"][0]) < 5e-4 and found["smallest_gap_mm"][1] > 10
-    summary = json.loads(succeeded(capsys, [*words, "--out", str(tmp_path / "f.npz"), "--json"]))["contact"]
+    summary = json.loads(succeeded(capsys, f"{words} --json"))["contact"]
     assert summary["touching"] == 2 and summary["infeasible"] == 1 and abs(summary["smallest_gap_mm"]) < 5e-4
 
 
 @pytest.mark.parametrize("table", ["table.toml", pytest.param("rough.toml", marks=pytest.mark.slow)])
-def test_predict_carries_rods_over_a_table(folder, tmp_path, capsys, table):
-    words = ["predict", str(folder / "low.npz"), "--motion", str(folder / "move.npz"), *MATERIAL, "--obstacles",
-             str(folder / table), "--radius", "2", "--out", str(tmp_path / "f.npz")]
-    printed = succeeded(capsys, [*words, "--picture", str(tmp_path / "f.png"), "--recording", str(tmp_path / "f.rrd")])
+def test_predict_carries_rods_over_a_table(folder, capsys, table):
+    printed = succeeded(capsys, f"predict {folder}/low.npz --motion {folder}/move.npz {' '.join(MATERIAL)} --obstacles "
+                        f"{folder}/{table} --radius 2 --out f.npz --picture f.png --recording f.rrd")
     assert "contact     1 of 1 rods touch" in printed and ("quasi-static steps" in printed) == (table == "rough.toml")
-    found = written(tmp_path / "f.npz")
+    found = written("f.npz")
     assert found["followed"].all() and found["time_s"].tolist() == [0, 1, 3]
     assert found["contact_force"].shape == (3, 1, 11, 3) and (found["contact_force"][..., 2].max(axis=-1) > 1).all()
     assert np.abs(found["smallest_gap_mm"]).max() < 5e-4
@@ -121,8 +95,8 @@ def test_predict_carries_rods_over_a_table(folder, tmp_path, capsys, table):
 
 
 def test_a_scene_of_motion_has_its_own_obstacles(folder, capsys):
-    words = ["simulate", str(folder / "scene.toml"), "--out", str(folder / "f.npz")]
-    refused(capsys, folder, [*words, "--obstacles", str(folder / "table.toml"), "--radius", "2"], "the scene has its own")
+    words = f"simulate {folder}/scene.toml --out f.npz --obstacles {folder}/table.toml --radius 2"
+    refused(capsys, folder, words, "the scene has its own")
 
 
 REFUSED = {
@@ -144,7 +118,6 @@ COMMANDS = {"relax": ["rods.npz", *MATERIAL, "--out", "f.npz"], "sweep": ["rods.
 @pytest.mark.parametrize(("command", "case"), [*(("relax", case) for case in REFUSED),
                                                *((command, "no radius") for command in COMMANDS if command != "relax")])
 def test_wrong_options_are_refused_in_one_line(folder, capsys, monkeypatch, command, case):
-    """Before anything else is read."""
     words, message = REFUSED[case]
     monkeypatch.chdir(folder)
     refused(capsys, folder, [command, *COMMANDS[command], *words], message)

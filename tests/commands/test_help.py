@@ -1,5 +1,4 @@
-"""The help: every command in one group with two examples that are valid; wrong words name the right one; the defaults that it
-states are those of the code."""
+"""The help: every command with two valid examples, wrong words name the right one, the defaults are those of the code."""
 
 import re
 import shlex
@@ -8,8 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from doo_ti.commands.cli import _parser, main
+from doo_ti.commands.cli import _parser
 from doo_ti.commands.help_text import EXAMPLES, FIRST, GROUPS, OTHER_WORDS
+from tests.commands.calls import ended, refused, succeeded
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
 COMMANDS = _parser().meanings
@@ -22,9 +22,8 @@ def test_every_command_is_in_one_group():
 
 @pytest.mark.parametrize("argv", [[], ["help"], ["--help"]])
 def test_the_program_alone_shows_its_commands(argv, capsys):
-    assert main(["--version"]) == 0 and capsys.readouterr().out.startswith("doo-ti ")
-    assert main(argv) == 0
-    out, err = capsys.readouterr()
+    assert succeeded(capsys, "--version").startswith("doo-ti ")
+    out, err = ended(capsys, argv)
     assert not err and all(f"\n  {name} " in out for name in COMMANDS) and all(f"\n{title}:" in out for title in GROUPS)
 
 
@@ -35,35 +34,29 @@ def test_examples_are_valid(command, capsys):
     for line, _ in lines:
         assert _parser().parse_args(shlex.split(line)).command == command
     for argv in (["help", command], [command, "--help"]):
-        assert main(argv) == 0
-        out = capsys.readouterr().out
+        out = succeeded(capsys, argv)
         assert all(f"\n  doo-ti {line}\n" in out for line, _ in lines) and out.endswith(f"More in docs/{page}\n")
 
 
 @pytest.mark.parametrize("command", COMMANDS)
 def test_help_shows_what_matters_and_help_all_the_rest(command, capsys):
-    parser = _parser().commands[command]
-    names = {action.option_strings[-1]: action.required for action in parser._actions
+    names = {action.option_strings[-1]: action.required for action in _parser().commands[command]._actions
              if action.option_strings and action.help != "==SUPPRESS=="}
     assert set(FIRST.get(command, names)) <= set(names)
     shown = {}
     for word in ("--help", "--help-all"):
-        assert main([command, word]) == 0
-        shown[word] = re.findall(r"^  (?:-h, )?(--[\w-]+)", capsys.readouterr().out, re.MULTILINE)
+        shown[word] = re.findall(r"^  (?:-h, )?(--[\w-]+)", succeeded(capsys, f"{command} {word}"), re.MULTILINE)
     assert set(shown["--help-all"]) - {"--help-all"} == set(names) - {"--help-all"}
     assert {name for name, required in names.items() if required} <= set(shown["--help"])
     assert len(shown["--help"]) <= 18
 
 
 @pytest.mark.parametrize(("argv", "meant"), [
-    (["swep"], "did you mean sweep?"), (["render"], "did you mean synth?"), (["xyzzy"], "see doo-ti help"),
-    (["relax", "a.npz", "--out", "b.npz", "--bendd", "1"], "did you mean --bend?"),
-    (["relax", "a.npz", "--bend", "1", "--outt", "b.npz"], "doo-ti: relax: --outt: unknown option; did you mean --out?"),
-    (["help", "relex"], "did you mean relax?")])
-def test_wrong_words_name_the_right_one(argv, meant, capsys):
-    assert main(argv) == 2
-    out, err = capsys.readouterr()
-    assert not out and meant in err and err.count("\n") == 1
+    ("swep", "did you mean sweep?"), ("render", "did you mean synth?"), ("xyzzy", "see doo-ti help"),
+    ("relax a.npz --out b.npz --bendd 1", "did you mean --bend?"), ("help relex", "did you mean relax?"),
+    ("relax a.npz --bend 1 --outt b.npz", "doo-ti: relax: --outt: unknown option; did you mean --out?")])
+def test_wrong_words_name_the_right_one(argv, meant, tmp_path, capsys):
+    refused(capsys, tmp_path, argv, meant)
 
 
 def defaults() -> dict[tuple[str, str], float]:

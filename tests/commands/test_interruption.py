@@ -124,8 +124,7 @@ def test_a_served_viewer_ends_with_its_command(tmp_path, number):
             assert b"<canvas" in page.read()
         command.send_signal(number)
         out, err = command.communicate(timeout=30)
-        assert command.returncode == 0 and err == ""
-        assert not any(answers(port, seconds=0) for port in ports)
+        assert command.returncode == 0 and err == "" and not any(answers(port, seconds=0) for port in ports)
     finally:
         os.killpg(command.pid, signal.SIGKILL) if command.poll() is None else None
 

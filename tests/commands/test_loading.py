@@ -1,83 +1,72 @@
-"""Own files on the command line: units, columns, motion capture; what was loaded, warnings for implausible lengths, a finer
-mesh through marks, and recordings of motion, of which frames and markers are chosen."""
+"""Own files on the command line: units, columns, motion capture, finer meshes; what was loaded, and what is doubted of it."""
 
 import json
 from argparse import Namespace
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from doo_ti import Observations, load_observations
-from doo_ti.commands.cli import main
 from doo_ti.commands.doubts import apart_doubt, length_doubt, order_doubt, repeats_doubt, reverse_doubt, warn_of_rod
 from doo_ti.commands.loading import stated
 from doo_ti.commands.results import hypotheses_lines
 from doo_ti.io.observation_files import read_recording
 from doo_ti.rod.frames import arc_lengths
-from tests.commands.calls import refused, succeeded, written
+from tests.commands.calls import ended, refused, succeeded, written
 from tests.io.test_formats import MARKS, motive, table
+
+CONVERT = "convert x.csv out.npz"
+METRES = f"{CONVERT} --columns observation=shot,vertex=marker,x=east,y=height,z=north"
 
 
 @pytest.fixture
-def metres(tmp_path):
+def metres():
     """A cable of 0.1 m in metres, y up, its columns named otherwise."""
-    path = tmp_path / "cable.csv"
-    path.write_text(table(MARKS[..., [0, 2, 1]] / 1000, "shot,marker,east,height,north"))
-    return path
+    Path("x.csv").write_text(table(MARKS[..., [0, 2, 1]] / 1000, "shot,marker,east,height,north"))
 
 
-def test_metres_taken_for_millimetres_are_warned_of(tmp_path, metres, capfd):
-    assert main(["convert", str(metres), str(tmp_path / "out.npz"), "--columns",
-                 "observation=shot,vertex=marker,x=east,y=height,z=north"]) == 0
-    printed = capfd.readouterr().err
-    assert "warning" in printed and "--unit m" in printed and str(metres) in printed
-    np.savez(tmp_path / "large.npz", vertices_mm=1e4 * MARKS)
-    assert main(["convert", str(tmp_path / "large.npz"), str(tmp_path / "out.npz")]) == 0
-    assert "warning" in capfd.readouterr().err
+def test_metres_taken_for_millimetres_are_warned_of(metres, capfd):
+    said = ended(capfd, METRES)[1]
+    assert "warning" in said and "--unit m" in said and "x.csv" in said
+    np.savez("large.npz", vertices_mm=1e4 * MARKS)
+    assert "warning" in ended(capfd, "convert large.npz out.npz")[1]
 
 
-def test_several_rods_taken_for_one_are_warned_of(tmp_path, metres, capfd):
+def test_several_rods_taken_for_one_are_warned_of(capfd):
     marks = MARKS + np.arange(len(MARKS))[:, None, None] * (0, 0, 9000.0)
-    (tmp_path / "x.csv").write_text(table(marks.reshape(1, -1, 3), "x,y,z", number=False))
-    assert main(["convert", str(tmp_path / "x.csv"), str(tmp_path / "out.npz")]) == 0
-    assert "--columns observation=NAME" in capfd.readouterr().err
+    Path("x.csv").write_text(table(marks.reshape(1, -1, 3), "x,y,z", number=False))
+    assert "--columns observation=NAME" in ended(capfd, CONVERT)[1]
 
 
-def test_columns_that_are_swapped_are_warned_of(tmp_path, capfd):
+def test_columns_that_are_swapped_are_warned_of(capfd):
     """Marks of many poses, each taken for a pose of many marks."""
     poses = np.random.default_rng(0).normal(0, 30, (8, 1, 3)) + np.linspace(0, 200, 12)[:, None] * (1.0, 0, 0)
-    (tmp_path / "x.csv").write_text(table(poses, "observation,vertex,x,y,z"))
-    words = ["convert", str(tmp_path / "x.csv"), str(tmp_path / "out.npz")]
-    assert main(words) == 0 and capfd.readouterr().err == ""
-    assert main([*words, "--columns", "observation=vertex,vertex=observation"]) == 0
-    assert "observation and vertex swapped" in capfd.readouterr().err
+    Path("x.csv").write_text(table(poses, "observation,vertex,x,y,z"))
+    for more, said in (("", ""), (" --columns observation=vertex,vertex=observation", "observation and vertex swapped")):
+        err = ended(capfd, CONVERT + more)[1]
+        assert said in err and bool(said) == bool(err)
 
 
 @pytest.mark.parametrize(("density", "stiffness", "words"), [
     ("10", "1e-4", ()), ("0.01", "1e-4", ("0.01 g/m", "kg/m")), ("50", "4e3", ("4000 N m²", "g/m")), ("10", "1e-4:1e5:9", ())])
 def test_masses_and_stiffnesses_of_no_rod_are_warned_of(tmp_path, capfd, density, stiffness, words):
-    """At 500 mm; of a range the least counts."""
-    options = Namespace(EI=stiffness, linear_density=float(density))
-    warn_of_rod("rod", np.full(10, 50.0), None, **stated(options))
+    warn_of_rod("rod", np.full(10, 50.0), None, **stated(Namespace(EI=stiffness, linear_density=float(density))))
     said = capfd.readouterr().err
     assert all(word in said for word in words) and bool(said) == bool(words)
 
 
 def test_columns_that_others_call_otherwise_are_asked_for(tmp_path, capfd):
-    """A table of poses and marks is not one rod with all of its marks."""
-    (tmp_path / "x.csv").write_text(table(MARKS, "Pose,mark,x,y,z"))
-    words = ["convert", str(tmp_path / "x.csv"), str(tmp_path / "out.npz")]
-    refused(capfd, tmp_path, words, "give --columns observation=Pose,vertex=mark")
-    assert main([*words, "--columns", "observation=Pose,vertex=mark"]) == 0
-    assert load_observations(tmp_path / "out.npz").count == len(MARKS)
+    Path("x.csv").write_text(table(MARKS, "Pose,mark,x,y,z"))
+    refused(capfd, tmp_path, CONVERT, "give --columns observation=Pose,vertex=mark")
+    succeeded(capfd, f"{CONVERT} --columns observation=Pose,vertex=mark")
+    assert load_observations("out.npz").count == len(MARKS)
 
 
 def test_lengths_that_the_marks_contradict_are_refused(tmp_path, metres, capfd):
-    words = ["convert", str(metres), str(tmp_path / "out.npz"), "--unit", "m", "--columns",
-             "observation=shot,vertex=marker,x=east,y=height,z=north", "--rest-length"]
-    refused(capfd, tmp_path, [*words, "300"], "--rest-length: 300 mm, but arcs through the marks are")
-    assert main([*words, "110"]) == 0
+    refused(capfd, tmp_path, f"{METRES} --unit m --rest-length 300", "--rest-length: 300 mm, but arcs through the marks are")
+    succeeded(capfd, f"{METRES} --unit m --rest-length 110")
 
 
 def test_lengths_that_the_marks_hardly_allow_are_doubted():
@@ -99,7 +88,6 @@ def test_labels_exchanged_in_every_pose_are_doubted(rng, first, second):
 
 
 def test_a_mark_that_is_too_far_away_for_the_rod_is_doubted():
-    """As zeros are that stand for a mark that was not seen."""
     marks = np.array(MARKS)
     marks[1, -1] = 0.0
     doubt = apart_doubt(Observations(marks, rest_length=Observations(MARKS).rest_length))
@@ -138,28 +126,27 @@ def test_observations_keep_their_labels():
     assert lines[-1].endswith("ambiguous observations: second")
 
 
-def test_motion_capture_as_motion_and_as_observations(tmp_path, capfd):
+def test_motion_capture_as_motion_and_as_observations(capfd):
     seen = np.concatenate([MARKS] * 5)
     seen[3, 1] = np.nan
-    (tmp_path / "take.csv").write_text(motive(seen / 1000, "Meters"))
-    assert "0,1,0" in succeeded(capfd, ["convert", str(tmp_path / "take.csv"), str(tmp_path / "motion.npz"), "--motion"])
-    found = written(tmp_path / "motion.npz")
+    Path("take.csv").write_text(motive(seen / 1000, "Meters"))
+    assert "0,1,0" in succeeded(capfd, "convert take.csv motion.npz --motion")
+    found = written("motion.npz")
     np.testing.assert_allclose(found["positions_mm"], seen)
     assert found["rate_hz"] == 120.0 and found["up"].tolist() == [0, 1, 0]
-    assert main(["convert", str(tmp_path / "take.csv"), str(tmp_path / "marks.csv"), "--select", "1:10:2", "--complete"]) == 0
-    np.testing.assert_allclose(load_observations(tmp_path / "marks.csv").vertices, seen[[1, 5, 7, 9]])
+    succeeded(capfd, "convert take.csv marks.csv --select 1:10:2 --complete")
+    np.testing.assert_allclose(load_observations("marks.csv").vertices, seen[[1, 5, 7, 9]])
 
 
 def test_observations_without_marks_and_outer_marks_are_left_out(tmp_path, capfd):
     """As of what perceive writes: a rod that was not found, and ends that are uncertain."""
-    file, out = tmp_path / "rods.npz", tmp_path / "marks.npz"
     rods = np.random.default_rng(0).normal(0, 9, (3, 7, 3))
     valid, sigma = np.ones(rods.shape[:2], bool), np.arange(1.0, 1 + rods[..., 0].size).reshape(rods.shape[:2])
     valid[0] = False
-    np.savez(file, vertices_mm=rods, valid=valid, sigma_mm=sigma, rest_length_mm=np.arange(1.0, rods.shape[1]))
-    refused(capfd, tmp_path, ["convert", str(file), str(out), "--marks", "1:-1"], "observation 0")
-    assert main(["convert", str(file), str(out), "--marks", "1:-1", "--complete"]) == 0
-    found = load_observations(out)
+    np.savez("rods.npz", vertices_mm=rods, valid=valid, sigma_mm=sigma, rest_length_mm=np.arange(1.0, rods.shape[1]))
+    refused(capfd, tmp_path, "convert rods.npz marks.npz --marks 1:-1", "observation 0")
+    succeeded(capfd, "convert rods.npz marks.npz --marks 1:-1 --complete")
+    found = load_observations("marks.npz")
     np.testing.assert_array_equal(found.vertices, rods[1:, 1:-1])
     np.testing.assert_array_equal(found.sigma, sigma[1:, 1:-1])
     assert found.labels.tolist() == list(range(1, len(rods)))
@@ -167,50 +154,42 @@ def test_observations_without_marks_and_outer_marks_are_left_out(tmp_path, capfd
 
 
 def test_marks_whose_frames_would_be_lost_stay(tmp_path, shipped_data, capfd):
-    words = ["convert", str(shipped_data / "lab_a" / "vicryl.npz"), str(tmp_path / "marks.npz"), "--marks"]
-    refused(capfd, tmp_path, [*words, "2:-2"], "start_frame")
-    assert main([*words, "::3"]) == 0
-    whole, part = load_observations(words[1]), load_observations(words[2])
+    words = f"convert {shipped_data}/lab_a/vicryl.npz marks.npz --marks"
+    refused(capfd, tmp_path, f"{words} 2:-2", "start_frame")
+    succeeded(capfd, f"{words} ::3")
+    whole, part = map(load_observations, words.split()[1:3])
     np.testing.assert_array_equal(part.vertices, whole.vertices[:, ::3])
     np.testing.assert_allclose(part.rest_length, whole.rest_length.reshape(-1, 3).sum(axis=1))
 
 
-def test_relax_prints_what_it_loaded(tmp_path, capfd):
+def test_relax_prints_what_it_loaded(capfd):
     marks = np.stack([np.linspace(0, 0.09, 12), np.zeros(12), 0.01 * np.sin(np.linspace(0, np.pi, 12))], axis=-1)
-    (tmp_path / "x.csv").write_text(table(marks[None], "observation,vertex,x,y,z"))
-    words = ["relax", str(tmp_path / "x.csv"), "--unit", "m", "--bend", "1e6", "--out", str(tmp_path / "f.npz")]
-    assert "1 observation of 12 marks" in succeeded(capfd, words)
-    assert main([*words, "--json"]) == 0
-    printed = capfd.readouterr()
-    assert json.loads(printed.out)["observations"] == 1 and printed.err == ""
+    Path("x.csv").write_text(table(marks[None], "observation,vertex,x,y,z"))
+    assert "1 observation of 12 marks" in succeeded(capfd, "relax x.csv --unit m --bend 1e6 --out f.npz")
+    out, err = ended(capfd, "relax x.csv --unit m --bend 1e6 --out f.npz --json")
+    assert json.loads(out)["observations"] == 1 and err == ""
 
 
 @pytest.mark.parametrize("words", [
-    ["--unit", "inch"], ["--columns", "x=east,y"], ["--columns", "x=west,y=height,z=north"], ["--select", "1"],
-    ["--select", "a:b"], ["--select", "0,x"], ["--select", "0,9999"],
-    ["--select", "5:6"], ["--marks", "1:2"], ["--marks", "3"], ["--motion"]])
+    "--unit inch", "--columns x=east,y", "--columns x=west,y=height,z=north", "--select 1", "--select a:b", "--select 0,x",
+    "--select 0,9999", "--select 5:6", "--marks 1:2", "--marks 3", "--motion"])
 def test_wrong_options_write_nothing(tmp_path, metres, capfd, words):
-    words = ["--columns", "x=east,y=height,z=north", *words]
-    refused(capfd, tmp_path, ["convert", str(metres), str(tmp_path / "out.npz"), *words])
+    refused(capfd, tmp_path, f"{CONVERT} --columns x=east,y=height,z=north {words}")
 
 
 @pytest.mark.thorough
-def test_results_as_csv(tmp_path, shipped_data):
-    """The same numbers as in the npz, for a program without NumPy."""
-    marks = str(tmp_path / "marks.npz")
-    assert main(["convert", str(shipped_data / "lab_a" / "vicryl.npz"), marks, "--select", "0,1"]) == 0
-    (tmp_path / "path.csv").write_text("time_s,end_rotation_deg\n0,0\n1,20\n")
-    material = ["--bend", "6e5", "--twist", "8e5"]
-    commands = {"relax": [], "predict": ["--motion", str(tmp_path / "path.csv")], "twist": []}
-    for name, more in commands.items():
+def test_results_as_csv(capsys, shipped_data):
+    succeeded(capsys, f"convert {shipped_data}/lab_a/vicryl.npz marks.npz --select 0,1")
+    Path("path.csv").write_text("time_s,end_rotation_deg\n0,0\n1,20\n")
+    for name, more in (("relax", ""), ("predict", "--motion path.csv"), ("twist", "")):
         for suffix in ("npz", "csv"):
-            assert main([name, marks, *more, *material, "--out", str(tmp_path / f"{name}.{suffix}")]) == 0
-    found = {name: written(tmp_path / f"{name}.npz") for name in commands}
-    np.testing.assert_array_equal(load_observations(tmp_path / "relax.csv").vertices, found["relax"]["vertices_mm"])
-    head, *lines = (tmp_path / "predict.csv").read_text().splitlines()
+            succeeded(capsys, f"{name} marks.npz {more} --bend 6e5 --twist 8e5 --out {name}.{suffix}")
+    found = {name: written(f"{name}.npz") for name in ("relax", "predict", "twist")}
+    np.testing.assert_array_equal(load_observations("relax.csv").vertices, found["relax"]["vertices_mm"])
+    head, *lines = Path("predict.csv").read_text().splitlines()
     assert head.split(",")[:3] == ['"moment"', '"rod"', '"vertex"']
     assert len(lines) == found["predict"]["vertices_mm"].size // 3
-    angles = np.genfromtxt(tmp_path / "twist.csv", delimiter=",", names=True, deletechars='"')
+    angles = np.genfromtxt("twist.csv", delimiter=",", names=True, deletechars='"')
     np.testing.assert_allclose(angles["total_twist_deg"], found["twist"]["total_twist_deg"])
 
 
@@ -221,43 +200,36 @@ def test_a_finer_mesh_lies_on_the_curve_through_the_marks(tmp_path, capsys):
     rows = np.searchsorted(arc, np.linspace(0, arc[-1], 11)).clip(0, 2000)
     vertices = curve[rows]
     vertices[4] = np.nan
-    source = str(tmp_path / "marks.npz")
-    np.savez(source, vertices_mm=vertices[None], rest_length_mm=np.diff(arc[rows]))
-    assert "61 vertices" in succeeded(capsys, ["convert", source, str(tmp_path / "fine.npz"), "--edges", "60"])
-    fine = load_observations(tmp_path / "fine.npz")
+    np.savez("marks.npz", vertices_mm=vertices[None], rest_length_mm=np.diff(arc[rows]))
+    assert "61 vertices" in succeeded(capsys, "convert marks.npz fine.npz --edges 60")
+    fine = load_observations("fine.npz")
     assert fine.edges == 60 and fine.valid.all() and np.ptp(fine.rest_length) < 1e-9
     assert np.linalg.norm(fine.vertices[0][:, None] - curve, axis=-1).min(axis=1).max() < 1.0
-    assert main(["convert", source, str(tmp_path / "no.npz"), "--edges", "1"]) == 2
-    assert main(["convert", source, str(tmp_path / "no.npz"), "--edges", "9", "--motion"]) == 2
+    refused(capsys, tmp_path, "convert marks.npz no.npz --edges 1")
 
 
 @pytest.fixture
 def take(tmp_path, rng):
-    path = tmp_path / "take.npz"
-    np.savez(path, positions_mm=rng.normal(size=(2, 40, 6, 3)), rate_hz=100.0, recording=np.array(["slow", "fast"]))
-    return str(path)
+    np.savez("take.npz", positions_mm=rng.normal(size=(2, 40, 6, 3)), rate_hz=100.0, recording=np.array(["slow", "fast"]))
 
 
-def test_frames_and_markers_are_chosen(take, tmp_path, capsys):
-    out = tmp_path / "out.npz"
-    assert main(["convert", take, str(out), "--motion", "--select", "0:20:4", "--marks", "1:-1"]) == 0
-    assert capsys.readouterr().out.startswith("2 recordings of 5 frames of 4 markers at 25/s, 0 positions missing")
-    found, whole = read_recording(out), read_recording(take)
+def test_frames_and_markers_are_chosen(take, capsys):
+    out = succeeded(capsys, "convert take.npz out.npz --motion --select 0:20:4 --marks 1:-1")
+    assert out.startswith("2 recordings of 5 frames of 4 markers at 25/s, 0 positions missing")
+    found, whole = read_recording("out.npz"), read_recording("take.npz")
     np.testing.assert_array_equal(found.positions, whole.positions[:, :20:4, 1:-1])
     assert found.rate == 25.0 and found.names == whole.names
 
 
 @pytest.mark.parametrize(("words", "named"), [
-    (["--select", "5:5"], "positions_mm: none is left"), (["--complete"], "--complete: given with --motion"),
-    (["--rest-length", "100"], "--rest-length: given with --motion"), (["--edges", "9"], "--edges: given with --motion")])
+    ("--select 5:5", "positions_mm: none is left"), ("--complete", "--complete: given with --motion"),
+    ("--rest-length 100", "--rest-length: given with --motion"), ("--edges 9", "--edges: given with --motion")])
 def test_what_a_motion_cannot_have_is_refused(words, named, take, tmp_path, capsys):
-    refused(capsys, tmp_path, ["convert", take, str(tmp_path / "out.npz"), "--motion", *words], named)
+    refused(capsys, tmp_path, f"convert take.npz out.npz --motion {words}", named)
 
 
 def test_a_recording_that_states_no_rate_needs_one(tmp_path, capsys):
-    (tmp_path / "take.csv").write_text(motive(MARKS / 1000, "Meters").replace("Export Frame Rate,120.000000,", ""))
-    words = ["convert", str(tmp_path / "take.csv"), str(tmp_path / "out.npz"), "--motion"]
-    assert main(words) == 2
-    assert "states no frames per second" in capsys.readouterr().err
-    assert main([*words, "--rate", "50"]) == 0
-    assert read_recording(tmp_path / "out.npz").rate == 50.0
+    Path("take.csv").write_text(motive(MARKS / 1000, "Meters").replace("Export Frame Rate,120.000000,", ""))
+    refused(capsys, tmp_path, "convert take.csv out.npz --motion", "states no frames per second")
+    succeeded(capsys, "convert take.csv out.npz --motion --rate 50")
+    assert read_recording("out.npz").rate == 50.0

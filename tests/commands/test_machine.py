@@ -1,17 +1,17 @@
-"""``doo-ti warm``: kernels are compiled in processes of their own, and kept for the next ones; ``doo-ti bench``: the table, the
-file, and options that are wrong."""
+"""``doo-ti warm`` compiles kernels in processes of their own; ``doo-ti bench``: its table and file."""
 
 import json
 import re
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from doo_ti.commands import machine
-from doo_ti.commands.cli import _parser, main
+from doo_ti.commands.cli import _parser
 from doo_ti.commands.machine import percent
 from doo_ti.lab import cases
-from tests.commands.calls import refused, succeeded
+from tests.commands.calls import ended, refused, succeeded
 
 
 @pytest.mark.parametrize("command", machine.STEPS)
@@ -25,26 +25,21 @@ def test_each_step_is_run_and_a_failure_is_reported(monkeypatch, capsys):
     monkeypatch.setattr(machine, "STEPS", {
         "relax": ("convert absent.npz a.npz", "convert never.npz b.npz"), "sweep": ("help", "--version"),
         "twist": ("--version",)})
-    assert main(["warm", "relax", "sweep", "--json"]) == 1
-    found = json.loads(capsys.readouterr().out)
+    found = json.loads(ended(capsys, "warm relax sweep --json", 1)[0])
     assert set(found["seconds"]) == {"relax", "sweep"} and set(found["failed"]) == {"relax"}
-    assert "absent.npz" in found["failed"]["relax"]
-    assert "twist" in succeeded(capsys, ["warm", "twist"])
+    assert "absent.npz" in found["failed"]["relax"] and "twist" in succeeded(capsys, ["warm", "twist"])
 
 
 @pytest.fixture(autouse=True)
 def small(monkeypatch):
-    """The whole command, small enough to take seconds."""
     monkeypatch.setattr(cases, "ROUND_SECONDS", 0.0)
 
 
 @pytest.mark.thorough
-def test_everything_goes_into_one_table_and_one_file(capsys, tmp_path):
-    out = tmp_path / "new" / "bench"
-    assert main(["bench", "--rods", "64", "--rounds", "1", "--out", str(out)]) == 0
-    text, progress = capsys.readouterr()
-    assert [path.name for path in out.iterdir()] == ["bench.json"]
-    found = json.loads((out / "bench.json").read_text(encoding="utf-8"))
+def test_everything_goes_into_one_table_and_one_file(capsys):
+    text, progress = ended(capsys, "bench --rods 64 --rounds 1 --out new/bench")
+    assert [path.name for path in Path("new/bench").iterdir()] == ["bench.json"]
+    found = json.loads(Path("new/bench/bench.json").read_text(encoding="utf-8"))
     assert len(found["cases"]) == 7
     for name, case in found["cases"].items():
         assert f"\n| {name} " in text and f" {percent(case['busy'])} " in text
@@ -58,23 +53,15 @@ def test_shares_are_rounded_down_and_those_above_all_are_shown():
 
 
 def test_for_machines_it_is_one_object_and_nothing_is_written(capsys, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(cases, "benchmark", lambda rods, rounds, threads: {
         "rods": rods, "rounds": rounds, "threads": threads, "rate": np.float64(np.nan)})
-    found = json.loads(succeeded(capsys, ["bench", "--rods", "32", "--rounds", "2", "--threads", "1", "--json"]))
-    assert found == {"rods": 32, "rounds": 2, "threads": 1, "rate": None}
-    assert not list(tmp_path.iterdir())
+    found = json.loads(succeeded(capsys, "bench --rods 32 --rounds 2 --threads 1 --json"))
+    assert found == {"rods": 32, "rounds": 2, "threads": 1, "rate": None} and not list(tmp_path.iterdir())
 
 
-WRONG = {
-    "a command without kernels": (["warm", "convert"], "'convert' has no kernels"),
-    "more rods than memory": (["bench", "--rods", "1000000000000"], "--rods", "above"),
-    "more threads than cores": (["bench", "--threads", "100000"], "--threads", "above"),
-    "rounds without end": (["bench", "--rounds", "1000001"], "--rounds", "above 1000")}
-
-
-@pytest.mark.parametrize("case", WRONG)
-def test_wrong_options(capsys, tmp_path, case):
-    words, *expected = WRONG[case]
-    out = ["--out", str(tmp_path / "new")] if words[0] == "bench" else []
-    refused(capsys, tmp_path, [*words, *out], *expected)
+@pytest.mark.parametrize("words, expected", [
+    ("warm convert", ("'convert' has no kernels",)), ("bench --out new --rods 1000000000000", ("--rods", "above")),
+    ("bench --out new --threads 100000", ("--threads", "above")),
+    ("bench --out new --rounds 1000001", ("--rounds", "above 1000"))])
+def test_wrong_options(capsys, tmp_path, words, expected):
+    refused(capsys, tmp_path, words, *expected)

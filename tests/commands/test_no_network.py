@@ -1,7 +1,4 @@
-"""No command opens a socket to another machine: the kernel ends the process at the first one.
-
-What needs sockets, a Dask cluster and the viewer, is traced instead: it connects to this machine alone.
-"""
+"""No command opens a socket to another machine: the kernel ends it, or a trace shows that it stays on this one."""
 
 import os
 import platform
@@ -62,7 +59,6 @@ def guarded(script: str, *arguments: str, folder: Path) -> subprocess.CompletedP
 
 
 def open_no_socket(words: list[str], folder: Path) -> None:
-    """Commands of ``doo-ti`` succeed in ``folder`` under the guard."""
     done = guarded(COMMANDS, *words, folder=folder)
     assert done.returncode == 0, f"{done.stdout}\n{done.stderr}"
 
@@ -96,7 +92,7 @@ def test_no_command_on_images_opens_a_socket(tmp_path, pictures, rng, monkeypatc
              f"track {seen} --frames images/frames.csv --out t.npz",
              f"predict {ROOT}/scenes/motion/pulled_straight.toml --out m.npz --recording m.rrd --picture m.png",
              f"calibrate {pictures}/views.csv --board {TEXT} --out rig.yaml", "plan lab.toml --twist 4e5",
-             " ".join([*prepared(tmp_path, rows_of(wavy_vertices(rng, count=2, marks=8), rng)), "--out", "marks.npz"])]
+             f"{prepared(tmp_path, rows_of(wavy_vertices(rng, count=2, marks=8), rng))} --out marks.npz"]
     open_no_socket(words, tmp_path)
 
 

@@ -4,6 +4,7 @@ import json
 import shutil
 from contextlib import redirect_stdout
 from io import StringIO
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -15,51 +16,51 @@ from doo_ti.commands.cli import main
 from doo_ti.vision.render import render_set
 from doo_ti.vision.rig_files import load_rig, save_rig
 from doo_ti.vision.tubes import smooth_curve
-from tests.commands.calls import refused, succeeded, written
+from tests.commands.calls import ended, refused, succeeded, written
 from tests.record.runs import read
 from tests.vision.scenes import curves, three_cameras
 
 EDGES = 14
 MATERIAL = ["--bend", "2e5", "--twist", "2e5", "--weight", "1", "--rest-length", f"3:{EDGES}"]
-HEADER = "name,cam0,cam1,cam2,seed_x,seed_y,seed_z,dir_x,dir_y,dir_z\n"
+ALONE = ("--no-picture", "--no-recording")
 
 
 @pytest.fixture(scope="module")
 def photographed(tmp_path_factory):
     """(folder of images, SETS.csv, the rig and the truth; the rods' vertices)."""
-    folder = tmp_path_factory.mktemp("images")
-    rods = curves(np.random.default_rng(8), 2, EDGES)
+    folder, rods = tmp_path_factory.mktemp("images"), curves(np.random.default_rng(8), 2, EDGES)
     rig = three_cameras()
     save_rig(folder / "rig.yaml", rig)
-    lines = [HEADER]
+    lines = ["name,cam0,cam1,cam2,seed_x,seed_y,seed_z,dir_x,dir_y,dir_z"]
     for name, rod in zip(("first", "second"), rods):
-        for camera, image in zip(rig.names, render_set(rig, smooth_curve(rod, 8), 1.0, seed=4)):
-            assert cv2.imwrite(str(folder / f"{name}_{camera}.png"), image)
-        numbers = ",".join(f"{value:.6f}" for value in (*rod[0], *(rod[1] - rod[0])))
-        lines.append(",".join([name, *(f"{name}_{camera}.png" for camera in rig.names), numbers]) + "\n")
-    (folder / "sets.csv").write_text("".join(lines))
+        for path, image in zip(images_of(folder, name), render_set(rig, smooth_curve(rod, 8), 1.0, seed=4)):
+            assert cv2.imwrite(path, image)
+        lines.append(",".join([name, *images_of(folder, name), *(f"{x:.6f}" for x in (*rod[0], *(rod[1] - rod[0])))]))
+    (folder / "sets.csv").write_text("\n".join(lines) + "\n")
     np.savez(folder / "truth.npz", vertices_mm=rods[::-1], names=np.array(["second", "first"]))
     return folder, rods
 
 
 def of_sets(folder, *more: str) -> list[str]:
-    return ["perceive", "--rig", str(folder / "rig.yaml"), "--sets", str(folder / "sets.csv"), *MATERIAL, *more]
+    return ["perceive", "--rig", f"{folder}/rig.yaml", "--sets", f"{folder}/sets.csv", *MATERIAL, *more]
+
+
+def images_of(folder, name: str = "first") -> list[str]:
+    return [f"{folder}/{name}_cam{index}.png" for index in range(3)]
 
 
 def of_images(folder, rod, *more: str) -> list[str]:
-    images = [str(folder / f"first_cam{index}.png") for index in range(3)]
     seed = [",".join(f"{value:.6f}" for value in values) for values in (rod[0], rod[1] - rod[0])]
-    return ["perceive", *images, "--rig", str(folder / "rig.yaml"), "--seed-point", seed[0], "--seed-direction", seed[1],
+    return ["perceive", *images_of(folder), "--rig", f"{folder}/rig.yaml", "--seed-point", seed[0], "--seed-direction", seed[1],
             *MATERIAL, *more]
 
 
 @pytest.fixture(scope="module")
 def perceived(photographed, tmp_path_factory):
     """The command on both sets: (folder of what it wrote, its arrays, what it printed)."""
-    out, printed = tmp_path_factory.mktemp("perceived") / "new", StringIO()
-    folder, _ = photographed
+    (folder, _), out, printed = photographed, tmp_path_factory.mktemp("perceived") / "new", StringIO()
     with redirect_stdout(printed):
-        assert main(of_sets(folder, "--out", str(out / "f.npz"), "--truth", str(folder / "truth.npz"), "--recorded", "1")) == 0
+        assert main(of_sets(folder, "--out", f"{out}/f.npz", "--truth", f"{folder}/truth.npz", "--recorded", "1")) == 0
     return out, written(out / "f.npz"), printed.getvalue()
 
 
@@ -72,14 +73,12 @@ def test_rods_are_found_and_written(photographed, perceived):
     assert all(part in line for part in ("E_vis", "px off", "σ", "error 0.0"))
     assert found["name"].tolist() == ["first", "second"] and found["status"].tolist() == [0, 0]
     assert np.linalg.norm(found["vertices_mm"] - rods, axis=-1).mean() < 0.1
-    shapes = {name: value.shape for name, value in found.items()}
     vertices, edges = EDGES + 1, EDGES
-    assert shapes == {
+    assert {name: value.shape for name, value in found.items()} == {
         "name": (2,), "vertices_mm": (2, vertices, 3), "rest_length_mm": (edges,), "up": (3,), "valid": (2, vertices),
         "sigma_mm": (2, vertices), "energy_vis": (2,), "status": (2,), "stable": (2,), "camera_error_px": (2, 3),
         "coverage": (2, 3), "thread_length_mm": (2,), "left_over_mm": (2,), "length_range_mm": (2, 2), "outside": (2, 3),
-        "skipped": (2, 3), "twice": (2, 3), "wider": (2, 3),
-        "hidden": (2, 3), "verdict": (2,), "gap_px": (2,),
+        "skipped": (2, 3), "twice": (2, 3), "wider": (2, 3), "hidden": (2, 3), "verdict": (2,), "gap_px": (2,),
         "unsupported": (2, edges), "runner_up_mm": (2, 4, vertices, 3), "runner_up_energy_vis": (2, 4)}
     assert (out / "f.png").read_bytes()[:4] == b"\x89PNG"
     static, moving = read(out / "f.rrd")
@@ -95,40 +94,33 @@ def test_rods_begun_by_clicks_end_where_the_thread_ends(photographed, tmp_path, 
     lines = ["name,cam0,cam1,cam2,cam0_u,cam0_v,cam1_u,cam1_v"]
     for name, rod, camera in (("first", rods[0], 0), ("second", rods[1], 1)):
         u, v = load_rig(folder / "rig.yaml").cameras[camera].project(rod[:1])[0] + (2, -2)
-        images = ",".join(str(folder / f"{name}_cam{index}.png") for index in range(3))
-        lines.append(f"{name},{images},{',,' * camera}{u:.0f},{v:.0f}{',,' * (1 - camera)}")
-    (tmp_path / "sets.csv").write_text("\n".join(lines) + "\n")
-    words = ["perceive", "--rig", str(folder / "rig.yaml"), "--sets", str(tmp_path / "sets.csv"), *MATERIAL[:6], "--out",
-             str(tmp_path / "rods.npz"), "--no-picture", "--no-recording"]
-    assert main(words) == 0
-    assert main(["convert", str(tmp_path / "rods.npz"), str(tmp_path / "marks.npz"), "--marks", "2:-2", "--complete"]) == 0
-    found = load_observations(tmp_path / "marks.npz")
+        lines.append(f"{name},{','.join(images_of(folder, name))},{',,' * camera}{u:.0f},{v:.0f}{',,' * (1 - camera)}")
+    Path("sets.csv").write_text("\n".join(lines) + "\n")
+    words = ["perceive", "--rig", f"{folder}/rig.yaml", "--sets", "sets.csv", *MATERIAL[:6], "--out", "rods.npz", *ALONE]
+    succeeded(capfd, words)
+    succeeded(capfd, "convert rods.npz marks.npz --marks 2:-2 --complete")
+    found = load_observations("marks.npz")
     assert found.count == 2 and found.edges == 29
     assert abs(found.rest_length.sum() / 29 * 33 / (3 * EDGES) - 1) < 0.05
     for marks, rod in zip(found.vertices, rods, strict=True):
         assert cKDTree(smooth_curve(rod, 200)).query(marks)[0].max() < 0.2
-    wrong = lines[2].replace(lines[2].split(",")[6], "9")
-    (tmp_path / "sets.csv").write_text("\n".join([lines[0], wrong]) + "\n")
-    capfd.readouterr()
+    Path("sets.csv").write_text("\n".join([lines[0], lines[2].replace(lines[2].split(",")[6], "9")]) + "\n")
     refused(capfd, tmp_path, words, "sets.csv: --seed-pixel: 9,")
 
 
 @pytest.mark.thorough
-def test_sets_without_a_rod_do_not_end_the_others(photographed, perceived, tmp_path, capsys):
+def test_sets_without_a_rod_do_not_end_the_others(photographed, perceived, capsys):
     """One with a click beside the thread, one with a blank image: their rows say so, and the others are as without them."""
     folder, rods = photographed
     u, v = load_rig(folder / "rig.yaml").cameras[0].project(rods[1][:1])[0]
-    images = [[str(folder / f"{name}_cam{index}.png") for index in range(3)] for name in ("first", "second")]
-    cv2.imwrite(str(tmp_path / "blank.png"), np.full((480, 640), 255, dtype=np.uint8))
-    rows = [["beside", *images[0], "9", "9"], ["second", *images[1], f"{u:.0f}", f"{v:.0f}"],
-            ["blank", *images[1][:2], str(tmp_path / "blank.png"), f"{u:.0f}", f"{v:.0f}"]]
+    cv2.imwrite("blank.png", np.full((480, 640), 255, dtype=np.uint8))
+    rows = [["beside", *images_of(folder), "9", "9"], ["second", *images_of(folder, "second"), f"{u:.0f}", f"{v:.0f}"],
+            ["blank", *images_of(folder, "second")[:2], "blank.png", f"{u:.0f}", f"{v:.0f}"]]
     found, text = {}, {}
     for name, kept in (("all", rows), ("one", rows[1:2])):
-        sets = tmp_path / f"{name}.csv"
-        sets.write_text("\n".join(["name,cam0,cam1,cam2,cam0_u,cam0_v", *map(",".join, kept)]) + "\n")
-        words = ["perceive", "--rig", str(folder / "rig.yaml"), "--sets", str(sets), *MATERIAL[:6], "--no-recording"]
-        text[name] = succeeded(capsys, [*words, "--out", str(tmp_path / f"{name}.npz")])
-        found[name] = written(tmp_path / f"{name}.npz")
+        Path("sets.csv").write_text("\n".join(["name,cam0,cam1,cam2,cam0_u,cam0_v", *map(",".join, kept)]) + "\n")
+        words = ["perceive", "--rig", f"{folder}/rig.yaml", "--sets", "sets.csv", *MATERIAL[:6], "--no-recording"]
+        text[name], found[name] = succeeded(capsys, [*words, "--out", "f.npz"]), written("f.npz")
     assert all(part in text["all"] for part in ("beside  no rod: ", "nothing was detected", "blank.png: image: no thread"))
     every, one = found["all"], found["one"]
     assert every["name"].tolist() == ["beside", "second", "blank"] and every["status"].tolist() == [4, 0, 4]
@@ -136,28 +128,23 @@ def test_sets_without_a_rod_do_not_end_the_others(photographed, perceived, tmp_p
     np.testing.assert_array_equal(every["vertices_mm"][1], one["vertices_mm"][0])
 
 
-def test_stiffness_need_not_be_known(photographed, perceived, tmp_path, capsys):
+def test_stiffness_need_not_be_known(photographed, perceived, capsys):
     folder, rods = photographed
-    np.savez(tmp_path / "truth.npz", vertices_mm=rods[:1] / 1000)
-    argv = [*of_images(folder, rods[0], "--out", str(tmp_path / "one.csv"), "--no-picture", "--no-recording"),
-            "--truth", str(tmp_path / "truth.npz"), "--unit", "m"]
+    np.savez("truth.npz", vertices_mm=rods[:1] / 1000)
+    argv = of_images(folder, rods[0], "--out", "one.csv", *ALONE, "--truth", "truth.npz", "--unit", "m")
     for name in ("--bend", "--twist", "--weight"):
         del argv[argv.index(name) : argv.index(name) + 2]
-    assert main(argv) == 0
-    printed = capsys.readouterr()
-    assert "none given: bend 1e+06 mm³" in printed.out and "1 set of 3 images" in printed.out
-    assert "runner_up_mm" in printed.err and "note" in printed.err
-    found = load_observations(tmp_path / "one.csv").vertices[0]
+    out, err = ended(capsys, argv)
+    assert "none given: bend 1e+06 mm³" in out and "1 set of 3 images" in out and "runner_up_mm" in err and "note" in err
+    found = load_observations("one.csv").vertices[0]
     assert np.abs(found - perceived[1]["vertices_mm"][0]).max() < 0.01
-    assert f"error {np.linalg.norm(found - rods[0], axis=-1).mean():.3f} mm" in printed.out
+    assert f"error {np.linalg.norm(found - rods[0], axis=-1).mean():.3f} mm" in out
 
 
-def test_a_seed_and_a_wrong_length(photographed, tmp_path, capsys):
-    """The rod is not clear; without a click nothing is compared from one."""
+def test_a_seed_and_a_wrong_length(photographed, capsys):
     folder, rods = photographed
-    argv = of_images(folder, rods[0], "--out", str(tmp_path / "f.npz"), "--no-picture", "--no-recording")
-    argv[argv.index("--rest-length") + 1] = f"3:{EDGES - 6}"
-    assert main(argv) == 0 and "not clear" in capsys.readouterr().out
+    argv = of_images(folder, rods[0], "--out", "f.npz", *ALONE, "--rest-length", f"3:{EDGES - 6}")
+    assert "not clear" in succeeded(capsys, argv)
 
 
 @pytest.mark.thorough
@@ -166,30 +153,26 @@ def test_a_click_and_no_length(photographed, tmp_path, capsys):
     folder, rods = photographed
     rig, length = load_rig(folder / "rig.yaml"), 3.0 * EDGES
     click = rig.cameras[1].project(rods[0][:1])[0] + [4.0, 3.0]
-    images = [str(folder / f"first_cam{index}.png") for index in range(3)]
-    argv = ["perceive", *images, "--rig", str(folder / "rig.yaml"), "--seed-pixel", f"cam1:{click[0]:.1f},{click[1]:.1f}",
-            "--edge", "3", "--no-picture", "--no-recording", "--json"]
-    printed = json.loads(succeeded(capsys, [*argv, "--out", str(tmp_path / "f.npz")]))["sets"][0]
-    found = written(tmp_path / "f.npz")
+    begin = ["perceive", *images_of(folder), "--rig", f"{folder}/rig.yaml", "--edge", "3", *ALONE]
+    argv = [*begin, "--seed-pixel", f"cam1:{click[0]:.1f},{click[1]:.1f}"]
+    printed = json.loads(succeeded(capsys, [*argv, "--out", "f.npz", "--json"]))["sets"][0]
+    found = written("f.npz")
     assert np.linalg.norm(found["vertices_mm"][0][0] - rods[0][0]) < 1.2
     assert found["rest_length_mm"].sum() == pytest.approx(length, rel=0.05)
     assert np.allclose(found["rest_length_mm"], 3.0, rtol=0.05)
     assert printed["name"] == "first_cam0" and min(printed["coverage"]) > 0.97 and printed["left_over_mm"] < 1.0
     # A rod of a third less: what is left over is said.
-    assert main([*argv[:-1], "--length", "28", "--out", str(tmp_path / "g.npz")]) == 0
-    assert written(tmp_path / "g.npz")["left_over_mm"][0] == pytest.approx(length - 28, abs=3.0)
-    said = capsys.readouterr().out
+    said = succeeded(capsys, [*argv, "--length", "28", "--out", "g.npz"])
+    assert written("g.npz")["left_over_mm"][0] == pytest.approx(length - 28, abs=3.0)
     assert "of thread left over" in said and "28 to 28 mm at a bound" in said
-    middle = rig.cameras[1].project(rods[0][[EDGES // 2]])[0]
-    place = argv.index("--seed-pixel") + 1
-    main([*argv[:place], f"cam1:{middle[0]:.0f},{middle[1]:.0f}", *argv[place + 1 : -1], "--out", str(tmp_path / "h.npz")])
-    assert "begins within the thread" in capsys.readouterr().err
+    u, v = rig.cameras[1].project(rods[0][[EDGES // 2]])[0]
+    assert "begins within the thread" in ended(capsys, [*begin, "--seed-pixel", f"cam1:{u:.0f},{v:.0f}", "--out", "h.npz"])[1]
     for change, words in ((["--seed-pixel", "cam9:1,2"], ("cam9", "cam0, cam1, cam2")), (["--length", "9:5"], ("--length",)),
                           (["--seed-pixel", "cam1:1,2"], ("given twice for cam1",)),
                           (["--rest-length", "3:14"], ("--edge", "--rest-length")),
                           (["--seed-point", "0,0,0"], ("--seed-point",)),
                           (["--seed-pixel", "cam0:3,3"], ("--seed-pixel", "px away"))):
-        refused(capsys, tmp_path, [*argv, *change, "--out", str(tmp_path / "new" / "f.npz")], *words)
+        refused(capsys, tmp_path, [*argv, *change, "--out", "new/f.npz"], *words)
 
 
 @pytest.mark.parametrize("change, words", [
@@ -202,15 +185,14 @@ def test_a_click_and_no_length(photographed, tmp_path, capsys):
     (["--region", "cam7:0,0,50,50"], ("--region", "cam7")), (["--region", "cam0:0,0,5,50"], ("region",)),
     (["--masks", "a.png"], ("--masks",)), (["--image-size", "3"], ("--image-size",))])
 def test_wrong_options_are_reported(photographed, tmp_path, capsys, change, words):
-    refused(capsys, tmp_path, of_sets(photographed[0], "--out", str(tmp_path / "new" / "f.npz"), *change), *words)
+    refused(capsys, tmp_path, of_sets(photographed[0], "--out", "new/f.npz", *change), *words)
 
 
 def test_wrong_images_are_reported(photographed, tmp_path, capsys):
     folder, rods = photographed
-    blank = str(tmp_path / "blank.png")
-    cv2.imwrite(blank, np.full((480, 640), 150, dtype=np.uint8))
-    argv = of_images(folder, rods[0], "--out", str(tmp_path / "new" / "f.npz"))
-    for image, words in ((blank, ("blank.png", "no thread was found")), ("missing.png", ("missing.png", "no such file"))):
+    cv2.imwrite("blank.png", np.full((480, 640), 150, dtype=np.uint8))
+    argv = of_images(folder, rods[0], "--out", "new/f.npz")
+    for image, words in (("blank.png", ("blank.png", "no thread was found")), ("missing.png", ("missing.png", "no such file"))):
         refused(capsys, tmp_path, [*argv[:2], image, *argv[3:]], *words)
     refused(capsys, tmp_path, [*argv[:2], *argv[3:]], "2 images", "3 cameras", "cam0, cam1, cam2")
     refused(capsys, tmp_path, [word for word in argv if not word.endswith("png")], "IMAGE", "missing")
@@ -219,38 +201,32 @@ def test_wrong_images_are_reported(photographed, tmp_path, capsys):
 def test_no_input_is_overwritten(photographed, capsys):
     """The picture lies beside the file: an image may be there already."""
     folder, rods = photographed
-    refused(capsys, folder, of_images(folder, rods[0], "--out", str(folder / "first_cam0.npz")), "first_cam0.png")
-    truth = str(folder / "truth.npz")
+    refused(capsys, folder, of_images(folder, rods[0], "--out", f"{folder}/first_cam0.npz"), "first_cam0.png")
+    truth = f"{folder}/truth.npz"
     refused(capsys, folder, of_sets(folder, "--out", truth, "--truth", truth), "truth.npz")
 
 
 def test_wrong_rigs_seeds_and_truths_are_reported(photographed, tmp_path, capsys):
     folder, rods = photographed
-    rig = load_rig(folder / "rig.yaml")
-    out = ["--out", str(tmp_path / "new" / "f.npz")]
-    argv = of_images(folder, rods[0], *out)
-    argv[argv.index("--seed-point") + 1] = ",".join(map(str, 2 * rig.cameras[0].centre))
-    refused(capsys, tmp_path, argv, "behind cam0")
-    save_rig(tmp_path / "one.yaml", Rig(rig.cameras[:1]))
-    refused(capsys, tmp_path, ["perceive", str(folder / "first_cam0.png"), "--rig", str(tmp_path / "one.yaml"), "--seed-pixel",
-                               "cam0:100,100", *MATERIAL, *out], "one camera", "--seed-point")
-    truth = tmp_path / "truth.npz"
+    rig, out = load_rig(folder / "rig.yaml"), ["--out", "new/f.npz"]
+    behind = ",".join(map(str, 2 * rig.cameras[0].centre))
+    refused(capsys, tmp_path, of_images(folder, rods[0], *out, "--seed-point", behind), "behind cam0")
+    save_rig("one.yaml", Rig(rig.cameras[:1]))
+    argv = f"perceive {folder}/first_cam0.png --rig one.yaml --seed-pixel cam0:100,100".split()
+    refused(capsys, tmp_path, [*argv, *MATERIAL, *out], "one camera", "--seed-point")
     for keys, said in (({"vertices_mm": rods, "name": np.array(["first", "third"])}, "second"),
                        ({"vertices_mm": rods, "name": np.array(["first", "second", "third"])}, "shape (3,)"),
                        ({"vertices_mm": rods[:1]}, "1 rods for 2 sets")):
-        np.savez(truth, **keys)
-        refused(capsys, tmp_path, of_sets(folder, *out, "--truth", str(truth)), said)
+        np.savez("truth.npz", **keys)
+        refused(capsys, tmp_path, of_sets(folder, *out, "--truth", "truth.npz"), said)
 
 
 def test_one_mask_is_not_taken_for_two_cameras(photographed, tmp_path, capsys):
-    folder = photographed[0]
-    names, cells = (line.split(",") for line in (folder / "sets.csv").read_text().splitlines()[:2])
-    one = dict(zip(names, cells, strict=True))
-    for place in ("cam0", "cam1", "cam2", "masks"):
-        (tmp_path / place).mkdir()
-        shutil.copyfile(folder / one.get(place, "first_cam0.png"), tmp_path / place / "first.png")
-    one |= {camera: f"{camera}/first.png" for camera in ("cam0", "cam1", "cam2")}
-    (tmp_path / "sets.csv").write_text(f"{','.join(one)}\n{','.join(one.values())}\n")
-    argv = of_sets(folder, "--out", str(tmp_path / "new" / "f.npz"), "--masks", str(tmp_path / "masks"))
-    argv[argv.index("--sets") + 1] = str(tmp_path / "sets.csv")
+    names, cells = (line.split(",") for line in (photographed[0] / "sets.csv").read_text().splitlines()[:2])
+    for place, image in zip(("cam0", "cam1", "cam2", "masks"), (*cells[1:4], cells[1])):
+        Path(place).mkdir()
+        shutil.copyfile(image, f"{place}/first.png")
+    own = [cells[0], *(f"{camera}/first.png" for camera in names[1:4]), *cells[4:]]
+    Path("sets.csv").write_text(f"{','.join(names)}\n{','.join(own)}\n")
+    argv = of_sets(photographed[0], "--out", "new/f.npz", "--masks", "masks", "--sets", "sets.csv")
     refused(capsys, tmp_path, argv, "masks", "several cameras")

@@ -1,6 +1,7 @@
 """doo-ti track: from a video to a file of rods and a recording, also with lost frames and errors."""
 
 import json
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -8,17 +9,15 @@ import pytest
 from scipy.spatial import cKDTree
 
 from doo_ti import Material, Tracker, detect
-from doo_ti.commands.cli import main
 from doo_ti.commands.track import _off_thread
 from doo_ti.vision.rig_files import save_rig
 from doo_ti.vision.tubes import smooth_curve
-from tests.commands.calls import refused, succeeded, written
+from tests.commands.calls import ended, refused, succeeded, written
 from tests.conftest import check_refused
 from tests.perception.test_tracking import EDGES, FRAMES, LENGTH, far_motion, images, rods
 from tests.record.runs import read
 from tests.vision.scenes import three_cameras
 
-SEED = "seed_x,seed_y,seed_z,dir_x,dir_y,dir_z"
 BLANK = (4, 5)
 
 
@@ -27,9 +26,8 @@ def filmed(tmp_path_factory):
     """A folder with a video in which nothing is seen for two frames, its FRAMES.csv, the rig, and the far clamp's motion."""
     folder = tmp_path_factory.mktemp("video")
     save_rig(folder / "rig.yaml", three_cameras())
-    rod = rods()[0]
-    seed = ",".join(f"{value:.6f}" for value in (*rod[0], *(rod[1] - rod[0])))
-    lines = [f"frame,cam0,cam1,cam2,time_s,{SEED}\n"]
+    seed = ",".join(f"{value:.6f}" for value in (*rods()[0, 0], *(rods()[0, 1] - rods()[0, 0])))
+    lines = ["frame,cam0,cam1,cam2,time_s,seed_x,seed_y,seed_z,dir_x,dir_y,dir_z\n"]
     for row, frame in enumerate(images()):
         names = [f"{row:03d}_cam{camera}.png" for camera in range(3)]
         for name, image in zip(names, frame, strict=True):
@@ -43,9 +41,9 @@ def filmed(tmp_path_factory):
     return folder
 
 
-def of(folder, out, *more: str) -> list[str]:
-    return ["track", "--rig", str(folder / "rig.yaml"), "--frames", str(folder / "frames.csv"), "--rest-length",
-            f"{LENGTH}:{EDGES}", "--bend", "2e5", "--twist", "2e5", "--weight", "1", "--out", str(out), *more]
+def of(folder, more: str = "", out: str = "new/f.npz") -> str:
+    return (f"track --rig {folder}/rig.yaml --frames {folder}/frames.csv --rest-length {LENGTH}:{EDGES} --bend 2e5 --twist 2e5 "
+            f"--weight 1 --out {out} {more}")
 
 
 def changed(folder, path, change) -> None:
@@ -54,12 +52,11 @@ def changed(folder, path, change) -> None:
 
 
 @pytest.mark.thorough
-def test_a_video_is_tracked_and_recorded(filmed, tmp_path, capsys):
-    out = tmp_path / "new" / "f.npz"
-    printed = succeeded(capsys, of(filmed, out))
+def test_a_video_is_tracked_and_recorded(filmed, capsys):
+    printed = succeeded(capsys, of(filmed))
     assert "16 frames of 3 images" in printed and "2 frames by Algorithm 1: 000, 006" in printed and "lost: 004, 005" in printed
-    assert sorted(path.name for path in out.parent.iterdir()) == ["f.npz", "f.rrd"]
-    found = written(out)
+    assert sorted(path.name for path in Path("new").iterdir()) == ["f.npz", "f.rrd"]
+    found = written("new/f.npz")
     assert {name: value.shape for name, value in found.items()} == {
         "name": (FRAMES,), "time_s": (FRAMES,), "rest_length_mm": (EDGES,), "up": (3,), "vertices_mm": (FRAMES, EDGES + 1, 3),
         "energy_vis": (FRAMES,), "camera_error_px": (FRAMES, 3), "status": (FRAMES,), "stable": (FRAMES,), "how": (FRAMES,),
@@ -67,7 +64,7 @@ def test_a_video_is_tracked_and_recorded(filmed, tmp_path, capsys):
     assert "".join(map(str, found["how"])) == "1000221000000000"
     off = np.linalg.norm(found["vertices_mm"] - rods(), axis=-1).mean(axis=1)
     assert np.isnan(off[list(BLANK)]).all() and np.delete(off, BLANK).max() < 0.15
-    static, moving = read(out.with_suffix(".rrd"))
+    static, moving = read("new/f.rrd")
     assert moving["/world/rods"]["frame"]["frame"] == list(range(FRAMES))
     drawn = [len(strips[0]) for strips in moving["/images/cam1/rods"]["frame"]["LineStrips2D:strips"]]
     assert [row for row, count in enumerate(drawn) if count == 0] == list(BLANK) and set(drawn) == {0, EDGES + 1}
@@ -76,24 +73,21 @@ def test_a_video_is_tracked_and_recorded(filmed, tmp_path, capsys):
 
 def test_a_video_is_tracked_from_a_click(filmed, tmp_path, capsys):
     """In two frames of two of the rig's cameras; neither length nor stiffness is stated."""
-    out, frames = tmp_path / "f.npz", filmed / "clicked.csv"
+    frames = filmed / "clicked.csv"
     u, v = three_cameras().cameras[1].project(rods()[0, :1])[0]
     changed(filmed, frames, lambda lines: [",".join(line.split(",")[:1] + line.split(",")[2:4]) for line in lines[:3]])
-    words = ["track", "--rig", str(filmed / "rig.yaml"), "--frames", str(frames), "--no-recording", "--out", str(out)]
-    succeeded(capsys, [*words, "--seed-pixel", f"cam1:{u + 3:.0f},{v - 2:.0f}"])
-    found = written(out)
+    words = f"track --rig {filmed}/rig.yaml --no-recording --out new/f.npz --frames"
+    clicked = f"{words} {frames} --seed-pixel cam1:{u + 3:.0f},{v - 2:.0f}"
+    refused(capsys, tmp_path, f"{words} {frames}", "seed_x")
+    printed, found = succeeded(capsys, clicked), written("new/f.npz")
     assert found["how"].tolist() == [1, 0] and abs(found["rest_length_mm"].sum() / (LENGTH * EDGES) - 1) < 0.03
     assert (found["sigma_mm"][:, 0] > 0.05).all(), "a click is no exact seed"
     for rod, truth in zip(found["vertices_mm"], rods(), strict=False):
         assert cKDTree(smooth_curve(truth, 20)).query(rod)[0].mean() < 0.3
-    assert "uncertain" not in capsys.readouterr().out
-    click = ["--seed-pixel", f"cam1:{u + 3:.0f},{v - 2:.0f}"]
-    beside = filmed / "beside.csv"
-    changed(filmed, beside, lambda lines: [f"{line},{own}" for line, own in zip(frames.read_text().split(), ("cam1_u", "3"))])
-    argv = [*words[:-1], str(tmp_path / "new" / "f.npz")]
-    refused(capsys, tmp_path, [*argv, *click, "--frames", str(beside)], "cam1_u", "either")
-    refused(capsys, tmp_path, [*words[:-1], str(tmp_path / "new" / "f.npz")], "seed_x")
-    refused(capsys, tmp_path, [*of(filmed, tmp_path / "new" / "f.npz"), "--seed-pixel", "cam1:3,3"], "--seed-pixel", "seed_x")
+    assert "uncertain" not in printed
+    changed(filmed, frames, lambda _: [f"{line},{own}" for line, own in zip(frames.read_text().split(), ("cam1_u", "3"))])
+    refused(capsys, tmp_path, clicked, "cam1_u", "either")
+    refused(capsys, tmp_path, of(filmed, "--seed-pixel cam1:3,3"), "--seed-pixel", "seed_x")
 
 
 def test_a_start_that_the_thread_has_left_is_uncertain():
@@ -105,28 +99,23 @@ def test_a_start_that_the_thread_has_left_is_uncertain():
 
 
 def test_a_known_motion_is_taken(filmed, tmp_path, capsys):
-    """In the first eight frames."""
-    out = tmp_path / "f.npz"
     changed(filmed, filmed / "eight.csv", lambda lines: lines[:9])
     np.savez(filmed / "eight.npz", **{key: value[:8] for key, value in np.load(filmed / "motion.npz").items()})
-    assert main(of(filmed, out, "--motion", str(filmed / "eight.npz"), "--frames", str(filmed / "eight.csv"), "--no-recording",
-                   "--json")) == 0
-    printed = json.loads(capsys.readouterr().out)
+    more = f"--motion {filmed}/eight.npz --frames {filmed}/eight.csv --no-recording --json"
+    printed = json.loads(succeeded(capsys, of(filmed, more, "f.npz")))
     assert printed["seeded"] == ["000", "006"] and printed["lost"] == ["004", "005"] and len(printed["tracked"]) == 4
-    assert printed["written"] == [str(out)] and [path.name for path in tmp_path.iterdir()] == ["f.npz"]
+    assert printed["written"] == ["f.npz"] and [path.name for path in tmp_path.iterdir()] == ["f.npz"]
 
 
 @pytest.mark.thorough
 def test_finished_frames_are_kept(filmed, tmp_path, capsys):
-    """An image in the middle is broken."""
     broken = tmp_path / "broken.png"
     broken.write_bytes(b"no image")
     frames = filmed / "broken.csv"
     changed(filmed, frames, lambda lines: [line.replace("003_cam1.png", str(broken)) for line in lines])
-    assert main(of(filmed, tmp_path / "f.npz", "--frames", str(frames))) == 1
-    err = capsys.readouterr().err
+    err = ended(capsys, of(filmed, f"--frames {frames}", "f.npz"), 1)[1]
     assert err.count("\n") == 1 and "broken.png" in err and "3 of 16 frames are kept" in err
-    assert np.load(tmp_path / "f.npz")["how"].tolist() == [1, 0, 0]
+    assert written("f.npz")["how"].tolist() == [1, 0, 0]
 
 
 @pytest.mark.parametrize("change, words", [
@@ -140,20 +129,19 @@ def test_finished_frames_are_kept(filmed, tmp_path, capsys):
 def test_wrong_frames_are_reported(filmed, tmp_path, capsys, change, words):
     frames = filmed / "changed.csv"
     changed(filmed, frames, change)
-    refused(capsys, tmp_path, of(filmed, tmp_path / "new" / "f.npz", "--frames", str(frames)), "changed.csv", *words)
+    refused(capsys, tmp_path, of(filmed, f"--frames {frames}"), "changed.csv", *words)
 
 
 def test_videos_and_single_cameras_are_refused(filmed, tmp_path, capsys):
     (filmed / "v.mp4").write_bytes(b"\x00\x8f")
-    refused(capsys, tmp_path, of(filmed, tmp_path / "new" / "f.npz", "--frames", str(filmed / "v.mp4")), "v.mp4", "a video")
+    refused(capsys, tmp_path, of(filmed, f"--frames {filmed}/v.mp4"), "v.mp4", "a video")
     check_refused("one camera", Tracker, three_cameras().take([0]), np.full(5, 3.0), Material(1e5, 1e5))
 
 
 @pytest.mark.parametrize("change, words", [
-    (("--bend", "1e5:1e6:5"), ("--bend", "grid")), (("--bend", "1e5,2e5"), ("--bend", "round")),
-    (("--rest-length", "3:x"), ("--rest-length",)), (("--frames", "missing.csv"), ("missing.csv",)),
-    (("--bend-1", "1e5"), ("--bend-1", "unknown")), (("--motion", "missing.npz"), ("missing.npz",)),
-    (("--motion", "short.npz"), ("short.npz", "3 moments for 16 frames"))])
+    ("--bend 1e5:1e6:5", ("--bend", "grid")), ("--bend 1e5,2e5", ("--bend", "round")), ("--frames none.csv", ("none.csv",)),
+    ("--rest-length 3:x", ("--rest-length",)), ("--bend-1 1e5", ("--bend-1", "unknown")),
+    ("--motion missing.npz", ("missing.npz",)), ("--motion short.npz", ("short.npz", "3 moments for 16 frames"))])
 def test_wrong_options_are_reported(filmed, tmp_path, capsys, monkeypatch, change, words):
     monkeypatch.chdir(filmed)
-    refused(capsys, tmp_path, of(filmed, tmp_path / "new" / "f.npz", *change), *words)
+    refused(capsys, tmp_path, of(filmed, change), *words)

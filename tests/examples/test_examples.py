@@ -1,7 +1,4 @@
-"""Every example runs as it stands, in an empty folder; each ends with a check of its own result.
-
-Python examples, and the ``doo-ti`` of the shell scripts, run in this process, where the kernels are loaded already.
-"""
+"""Every example runs as it stands, in an empty folder, in this process, where kernels are loaded; it checks its own result."""
 
 import os
 import runpy
@@ -42,7 +39,6 @@ def test_the_picture_is_of_the_script_as_it_is(script):
 
 @pytest.fixture
 def folder(tmp_path, monkeypatch):
-    """An empty folder, with python and doo-ti on the path of scripts that run there."""
     programs, empty = tmp_path / "bin", tmp_path / "empty"
     for path in (programs, empty):
         path.mkdir()

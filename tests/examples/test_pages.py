@@ -1,5 +1,4 @@
-"""README and docs: links lead somewhere, commands have the options that pages give them, README's blocks run as written; so do
-the examples of docs/reading_runs.md, on a small run."""
+"""README and docs: links lead somewhere, commands have the options that pages give them, examples run as written."""
 
 import importlib.util
 import json
@@ -40,8 +39,7 @@ def commands() -> list[tuple[str, list[str]]]:
     """(page, words) of every line of a page that begins with ``doo-ti``, without comments."""
     found = []
     for page in PAGES:
-        lines = page.read_text(encoding="utf-8").replace("\\\n", " ").splitlines()
-        for line in lines:
+        for line in page.read_text(encoding="utf-8").replace("\\\n", " ").splitlines():
             text = line.strip().removeprefix("$ ")
             if text.startswith("doo-ti ") and "…" not in text:
                 found.append((page.name, shlex.split(text, comments=True)[1:]))
@@ -71,7 +69,6 @@ def test_the_reference_has_every_public_name():
 
 @pytest.fixture
 def clone(tmp_path):
-    """An empty folder with what a fresh clone has, as far as README's commands use it."""
     for name in ("scenes", "docs"):
         (tmp_path / name).symlink_to(ROOT / name)
     return tmp_path
@@ -132,7 +129,6 @@ def folder(tmp_path_factory):
 
 
 def printed(folder, word: str, monkeypatch, capsys) -> str:
-    """What the example prints whose heading has that word."""
     example, = (text for heading, text in EXAMPLES.items() if word in heading)
     monkeypatch.chdir(folder)
     capsys.readouterr()

@@ -136,8 +136,7 @@ def _observations() -> None:
     for name in ("rods.csv", "rods.parquet"):
         _command("convert", "rods.npz", name)
     keys = dict(np.load("rods.npz"))
-    count = len(keys["vertices_mm"])
-    vertices = keys["vertices_mm"]
+    count, vertices = len(keys["vertices_mm"]), keys["vertices_mm"]
     np.savez("labs.npz", vertices_mm=vertices, valid=np.ones(vertices.shape[:2], bool), sigma_mm=np.array(0.12),
              up=np.array([0.0, 0.0, 1.0]))
     np.savez("offsets.npz", offset_deg=120.0 * (np.arange(count) // 2))
@@ -168,7 +167,7 @@ def _rig():
 def _moving() -> None:
     Path("tied.toml").write_text(TIED)
     _command("group", "tied.toml", "--out", "tied.npz")  # also for its kernel, which takes long to compile
-    Path("swing.toml").write_text(SCENE.replace("edges = 6", "edges = 6\nat_rest = true"))
+    Path("swing.toml").write_text(SCENE.replace("edges = 6", "edges = 6, at_rest = true"))
     _command("simulate", "swing.toml", "--out", "swung.npz")
     positions = np.load("swung.npz")["positions_mm"]
     noise = np.random.default_rng(SEED).normal(0, 0.02, (2, *positions.shape[1:]))
@@ -204,7 +203,6 @@ def _marks() -> None:
 
 
 def _boards() -> None:
-    """Four views of a chessboard by two of the cameras."""
     board, chance, lines = parse_board(BOARD), np.random.default_rng(SEED), ["view,cam0,cam1"]
     Path("boards").mkdir(exist_ok=True)
     for view in range(4):

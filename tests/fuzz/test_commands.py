@@ -1,5 +1,4 @@
-"""Valid command lines over the corpus, each taking well under a second, with one thing changed about a file or the command
-line: they succeed, or refuse in one line and write nothing, whatever is wrong."""
+"""Short commands over the corpus with one thing changed about a file or a word: they succeed, or refuse in one line."""
 
 import io
 import os
@@ -29,7 +28,6 @@ COMPANIONS = {"dynamic.toml": ("pairs.csv",), "file.toml": ("rods.npz",), "image
 
 
 def read_by(words: tuple[str, ...]) -> tuple[str, ...]:
-    """Files and folders of the corpus that a command reads."""
     found = [word.partition(":")[0] for word in words[1:] if not word.startswith("out/")]
     found = [name for name in found if re.fullmatch(r"\w*run|[\w/]+\.[a-z]+", name)]
     return tuple(dict.fromkeys([*found, *(name for each in found for name in COMPANIONS.get(each, ()))]))
@@ -115,9 +113,7 @@ ARRAYS = {
 
 @st.composite
 def bytes_changed(draw, content: bytes) -> bytes:
-    """Bytes flipped, cut off, left out, repeated or put in."""
-    at = draw(st.integers(0, len(content)))
-    length = draw(st.sampled_from([1, 2, 16, 256]))
+    at, length = draw(st.integers(0, len(content))), draw(st.sampled_from([1, 2, 16, 256]))
     way = draw(st.sampled_from(["flip", "cut", "remove", "repeat", "insert", "empty"]))
     if way == "flip" and content:
         at = min(at, len(content) - 1)
@@ -175,7 +171,6 @@ def npz_changed(draw, content: bytes) -> bytes:
 
 
 def changed(content: bytes, suffix: str) -> st.SearchStrategy[bytes]:
-    """The content of a file of that format with one change."""
     of_format = {".npz": npz_changed, **dict.fromkeys((".toml", ".csv", ".yaml", ".json", ".txt"), text_changed)}.get(suffix)
     return bytes_changed(content) if of_format is None or not content else of_format(content) | bytes_changed(content)
 

@@ -7,12 +7,10 @@ from doo_ti.rod.frames import bishop_frames, matrix_from_quaternion, quaternion_
 
 def wavy_vertices(rng: np.random.Generator, count: int = 3, marks: int = 9) -> np.ndarray:
     """(D, V, 3) gently curved rods of about 3 mm edges, mm."""
-    turn = rng.normal(0, 0.15, (count, marks - 1, 3)).cumsum(axis=1)
-    tangent = np.array([1.0, 0.2, 0.1]) + 0.5 * turn
+    tangent = np.array([1.0, 0.2, 0.1]) + 0.5 * rng.normal(0, 0.15, (count, marks - 1, 3)).cumsum(axis=1)
     tangent /= np.linalg.norm(tangent, axis=-1, keepdims=True)
     steps = rng.uniform(2.0, 4.0, marks - 1)[:, None] * tangent
-    chain = np.concatenate([np.zeros((count, 1, 3)), steps.cumsum(axis=1)], axis=1)
-    return rng.normal(0, 20, (count, 1, 3)) + chain
+    return rng.normal(0, 20, (count, 1, 3)) + np.concatenate([np.zeros((count, 1, 3)), steps.cumsum(axis=1)], axis=1)
 
 
 def twisted_frames(vertices: np.ndarray, total_twist: np.ndarray, rng: np.random.Generator) -> np.ndarray:

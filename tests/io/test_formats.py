@@ -41,7 +41,6 @@ def table(points: np.ndarray, names: str, number: bool = True) -> str:
 
 
 def german(text: str) -> str:
-    """As spreadsheets write it where decimals are behind a comma."""
     return text.replace(",", ";").replace(".", ",")
 
 

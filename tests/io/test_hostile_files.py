@@ -1,9 +1,4 @@
-"""Small files that would cost much, pipes and devices, for every reader: each is read or refused in one line, in bounded
-memory. Damaged ones are in tests/fuzz.
-
-Some are read in a process of their own, whose memory and processor time are limited, so that a reader that fails the test takes
-neither those of this one.
-"""
+"""Small files that would cost much, pipes and devices: each is read or refused in one line, in bounded memory."""
 
 import io
 import multiprocessing
@@ -35,7 +30,6 @@ MOST_SECONDS_EACH = 10.0
 
 
 def npz(shape: str, content: bytes = bytes(192), method: int = zipfile.ZIP_STORED) -> bytes:
-    """An npz whose header may say anything."""
     header = f"{{'descr': '<f8', 'fortran_order': False, 'shape': {shape}}}".ljust(117) + "\n"
     file = io.BytesIO()
     with zipfile.ZipFile(file, "w", method) as archive:
@@ -68,7 +62,6 @@ THIN = "{ length_mm = 9.0, edges = 4, radius_mm = 1.0 }"
 
 
 def small() -> dict[str, bytes]:
-    """Files that would cost much."""
     large = bytes(60_000_000)
     times = "[" + ", ".join(f"{{ time_s = {n}.0 }}" for n in range(90)) + "]"
     texts = {
@@ -122,7 +115,6 @@ def images() -> dict[str, bytes]:
 
 
 def readers() -> dict[str, list]:
-    """Whatever reads a file with that suffix."""
     from doo_ti.commands.loading import read_rest_length
     from doo_ti.commands.track import load_frames
     from doo_ti.contact.distance_grid import DistanceGrid

@@ -134,8 +134,7 @@ def test_a_path_at_equal_intervals(tmp_path):
     path = load_path(written(tmp_path, ["time_s", "x", "y", "z", "rx", "ry", "rz"], values)).resampled(20.0)
     np.testing.assert_allclose(path.time, np.arange(21) / 20)
     np.testing.assert_allclose(path.end_position[:, 0], np.outer(path.time, [10.0, -20.0, 5.0]), atol=1e-9)
-    angle = Rotation.from_matrix(path.end_frame[:, 0]).as_rotvec()[:, 2]
-    np.testing.assert_allclose(angle, 1.2 * path.time, atol=5e-3)
+    np.testing.assert_allclose(Rotation.from_matrix(path.end_frame[:, 0]).as_rotvec()[:, 2], 1.2 * path.time, atol=5e-3)
     check_refused("time_s", path.resampled, 1e9)
 
 

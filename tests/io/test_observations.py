@@ -16,11 +16,9 @@ from tests.io.rods import twisted_frames, wavy_vertices
 
 
 def full_keys(rng) -> dict[str, np.ndarray]:
-    """Every key of the format, filled."""
     vertices = wavy_vertices(rng)
     twist = rng.uniform(-5, 5, len(vertices))
-    frames = twisted_frames(vertices, twist, rng)
-    valid = np.ones(vertices.shape[:2], dtype=bool)
+    frames, valid = twisted_frames(vertices, twist, rng), np.ones(vertices.shape[:2], dtype=bool)
     valid[1, 4] = False
     vertices[1, 4] = np.nan
     return {
@@ -31,16 +29,14 @@ def full_keys(rng) -> dict[str, np.ndarray]:
 
 
 def same(first: Observations, second: Observations, tolerance: float = 0.0) -> bool:
-    pairs = [(getattr(first, name), getattr(second, name)) for name in KEYS]
     return all(
         (a is None) == (b is None) and (a is None or (np.shape(a) == np.shape(b) and np.allclose(
             a, b, rtol=0, atol=tolerance, equal_nan=True)))
-        for a, b in pairs)
+        for a, b in [(getattr(first, name), getattr(second, name)) for name in KEYS])
 
 
 def test_every_key_is_read_in_our_units(tmp_path, rng):
-    keys = full_keys(rng)
-    path = tmp_path / "suture.npz"
+    keys, path = full_keys(rng), tmp_path / "suture.npz"
     np.savez(path, **keys, unsteadiness=np.array(["unknown keys", "are ignored"]))
     observations = load_observations(path)
     assert (observations.name, observations.source) == ("suture", str(path)) and len(observations.sha256) == 64
@@ -72,8 +68,7 @@ def test_default_rest_length_leaves_missing_marks_out(rng):
     valid = np.ones((3, 9), dtype=bool)
     valid[0, 4] = False
     vertices[0, 4] = np.nan
-    found = Observations(vertices, valid).rest_length
-    np.testing.assert_allclose(found[3:5], np.median(expected[:, 3:5], axis=0))
+    np.testing.assert_allclose(Observations(vertices, valid).rest_length[3:5], np.median(expected[:, 3:5], axis=0))
 
 
 def test_lengths_along_arcs():
@@ -87,8 +82,7 @@ def test_lengths_along_arcs():
     np.testing.assert_array_equal(replace(stated, spacing_error=0.1).along_arcs().rest_length, 9.0)
     with warnings.catch_warnings():  # of NumPy, about an edge that no rod shows
         warnings.simplefilter("error")
-        valid = np.arange(seen.edges + 1)[None] > 0
-        unseen = replace(stated, valid=np.repeat(valid, seen.count, axis=0)).along_arcs()
+        unseen = replace(stated, valid=np.repeat(np.arange(seen.edges + 1)[None] > 0, seen.count, axis=0)).along_arcs()
     np.testing.assert_array_equal(unseen.rest_length, 9.0)
 
 

@@ -1,5 +1,4 @@
-"""Scenes: the meaning of a TOML file, errors in it, the keys that several kinds share; those of the package, by name, from any
-folder; and scenes of motion, the shipped ones with their results."""
+"""Scenes: the meaning of a TOML file and errors in it; those of the package, by name, from any folder; scenes of motion."""
 
 import re
 from pathlib import Path
@@ -150,7 +149,6 @@ SHARED = {
 
 
 def loaded(folder, load, *materials: str):
-    """The scene with these tables of the materials a, b, …"""
     text = SHARED[load] + "".join(f"[materials.{name}]\n{one}\n" for name, one in zip("ab", materials, strict=False))
     (folder / "scene.toml").write_text(text)
     return load(folder / "scene.toml")
@@ -211,8 +209,6 @@ def test_quantities_between_moments(moments, first):
         assert 1.0 < value < 2.0 if expected is None else np.isclose(value, expected)
 
 
-# --- scenes of motion ---
-
 MOTION = """
 [rod]
 length_mm = 60.0
@@ -240,8 +236,7 @@ def test_a_loop_is_thrown_and_pops_out():
     rotation = np.degrees(prediction.end_rotation[:, 0])
     assert 2 < thrown <= 4 < popped < 7
     # While the loop is there a turn of writhe is, too: twist is a whole turn short of what the clamp did.
-    short = rotation - np.degrees(prediction.total_twist[:, 0])
-    inside = slice(jumps[0], jumps[1])
+    short, inside = rotation - np.degrees(prediction.total_twist[:, 0]), slice(jumps[0], jumps[1])
     assert (short[inside] > 300).all() and np.abs(short[-1]) < 10 and np.abs(short[: jumps[0] - 40]).max() < 90
 
 

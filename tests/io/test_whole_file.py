@@ -1,5 +1,4 @@
-"""Files that are complete or absent: the part files beside them while they are written, and after. That commands write so:
-tests/commands/conftest.py."""
+"""Files that are complete or absent, and the part files beside them. That commands write so: tests/commands/conftest.py."""
 
 import os
 from pathlib import Path

@@ -1,5 +1,4 @@
-"""Experiments that several tests work on: a small virtual lab, and the rods of the development data; landscapes made by hand,
-as sweeps would have left them."""
+"""A small virtual lab, the rods of the development data, and landscapes made by hand, as sweeps would have left them."""
 
 from functools import cache
 from pathlib import Path

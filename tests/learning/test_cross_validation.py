@@ -1,6 +1,7 @@
-"""Leave-one-out against loops over fractions, and against landscapes whose answer is known; the rows and columns of tables; and
-that only cells compete whose rods all converged to certified minima: a rod that stalls at its observation scores best."""
+"""Leave-one-out against loops over fractions; its tables as text, Markdown, CSV and JSON."""
 
+import csv
+import io
 import re
 import statistics
 from dataclasses import replace
@@ -15,7 +16,9 @@ from doo_ti import InputError, Status
 from doo_ti.learning import cross_validation
 from doo_ti.learning.cross_validation import Part, Partition, chosen_cells, cross_validate, partition, usual_factors
 from doo_ti.learning.landscape import plane_of
+from doo_ti.learning.score_table import LISTED, comma_separated, entries, file_stem, markdown, notes, text
 from doo_ti.learning.terms import Hypotheses, resolved
+from doo_ti.rod.grid import Axis, Grid
 from tests.conftest import check_refused
 from tests.learning.lab import dynamic, grid_of, static
 
@@ -51,8 +54,7 @@ def assert_as_by_loops(found, parts):
         cells = [by_loops(training, tested, term) for term in range(len(tested.terms))]
         errors = [float(tested.landscape.distance[cell, term]) for cell, term in zip(cells, tested.terms, strict=True)
                   if cell is not None and not np.isnan(tested.landscape.distance[cell, term])]
-        assert found.count[row, column] == len(errors)
-        assert found.left_out[row, column] == len(cells) - len(errors)
+        assert found.count[row, column] == len(errors) and found.left_out[row, column] == len(cells) - len(errors)
         mean = statistics.fmean(errors) if errors else np.nan
         np.testing.assert_allclose(found.mean[row, column], mean, rtol=1e-14)
         error = statistics.stdev(errors) / len(errors)**0.5 if len(errors) > 1 else np.nan
@@ -104,8 +106,7 @@ def test_weights_of_pairs_count_in_training_and_in_the_score(rng):
 def test_the_order_of_terms_does_not_break_ties(rng):
     """Two cells hold the same distances in another order: their sums are the same, so the first of them is chosen."""
     half = rng.uniform(0, 1, 60)
-    distance = np.stack([half + 1, half, half[rng.permutation(60)], half[::-1]])
-    part = whole(static("a", distance))
+    part = whole(static("a", np.stack([half + 1, half, half[rng.permutation(60)], half[::-1]])))
     assert chosen_cells(part, np.array([[-1, -1]])).tolist() == [1]
 
 
@@ -124,8 +125,6 @@ def test_best_and_near_in_each_column():
     assert found.is_best.tolist() == [[True, True, True], [False, True, False], [False, False, False]]
     assert found.is_near.tolist() == [[False, False, False], [True, False, False], [False, False, False]]
 
-
-# --- rows and columns ------------------------------------------------------------------------------------------------------
 
 LABELS = np.tile([54.0, 30.0, 78.0], 4)
 MOVES = [(0, 3), (3, 0), (1, 4), (4, 7), (2, 5), (5, 8)]
@@ -192,12 +191,9 @@ def test_runs_that_cannot_be_compared_are_reported(runs, by, distances, words):
     check_refused(re.escape(words), partition, runs, by, distances)
 
 
-# --- only cells whose rods all converged to certified minima compete ------------------------------------------------------
-
 def fooled(name: str = "nylon"):
     """Five cells of four rods, the second the best, except for the fourth, in which a rod stalled close to its observation."""
-    distance = np.array([3.0, 1.0, 2.0, 0.1, 3.0])[:, None] + np.zeros(4)
-    landscape = static(name, distance)
+    landscape = static(name, np.array([3.0, 1.0, 2.0, 0.1, 3.0])[:, None] + np.zeros(4))
     landscape.status[3, 1] = Status.STALLED
     return landscape
 
@@ -246,3 +242,83 @@ def test_hypotheses_are_not_resolved_by_such_a_cell():
     sound = np.array([[True, True, True], [False, False, False]])
     chosen, ambiguous = resolved(distance, sound, np.ones(2), hypotheses)
     assert chosen[0].tolist() == [1, 2] and not ambiguous.any()
+
+
+TWO_DISTANCES = np.repeat([30.0, 54.0], 4)
+
+
+@pytest.fixture
+def scored(rng):
+    """Two materials at two end distances; one rod has no distance, one is no certified minimum."""
+    runs = []
+    for name, cell in (("nylon", 1), ("silk", 3)):
+        runs.append(static(name, 1 + rng.uniform(0, 0.1, (5, 8)) + np.abs(np.arange(5) - cell)[:, None], TWO_DISTANCES))
+    runs[1].distance[:, 6] = np.nan
+    runs[0] = replace(runs[0], stable=np.tile(np.arange(8) != 2, (5, 1)))
+    found, = partition(runs, ("material", "end-distance"))
+    return cross_validate(found)
+
+
+def test_text_has_aligned_columns_and_folds_where_they_do_not_fit(scored):
+    wide, narrow = text(scored, 200), text(scored, 60)
+    assert max(map(len, narrow.split("\n\n")[1].splitlines())) <= 60 < len(wide.split("\n\n")[1].splitlines()[0])
+    lines = wide.split("\n\n")[1].splitlines()
+    assert len(lines) == 5 and {line.index("±") for line in lines[1:]} == {lines[1].index("±")}
+    figure = f"{scored.mean[0, 0]:.3f} ± {scored.standard_error[0, 0]:.3f}"
+    assert lines[1].split("  ")[1].strip() == f"[{figure}]{'*' if scored.is_best[0, 0] else '~'}"
+    for part in ("silk 54 mm", f"{scored.mean[3, 1]:.3f} ± {scored.standard_error[3, 1]:.3f}"):
+        assert part in wide and part in narrow
+    assert wide.count("*") - 1 == scored.is_best.sum() and wide.count("~") - 1 == scored.is_near.sum()
+
+
+def test_markdown_sets_the_best_bold(scored):
+    page = markdown(scored)
+    assert file_stem(scored.partition.by) == "by_material_and_end_distance"
+    assert page.startswith("**Table II: leave-one-out error by material and end distance; static (Eq. 2);")
+    table = [line for line in page.splitlines() if line.startswith("|")][:6]
+    cells = np.array([[cell.strip() for cell in line.strip("|").split("|")[1:]] for line in table[2:]])
+    assert (np.char.startswith(cells, "**") == scored.is_best).all()
+    assert (np.char.startswith(cells, "_") == scored.is_near).all()
+    assert ((np.char.find(cells, "[") >= 0) == np.eye(4, dtype=bool)).all()
+
+
+def test_csv_holds_the_numbers_in_full(scored):
+    lines = list(csv.DictReader(io.StringIO(comma_separated([scored, scored]))))
+    assert len(lines) == 2 * 16 and lines[:16] == lines[16:]
+    for name, values in (("mean_mm", scored.mean), ("standard_error_mm", scored.standard_error), ("n", scored.count)):
+        np.testing.assert_array_equal(np.array([float(line[name]) for line in lines[:16]]), values.ravel())
+    assert [line["is_best"] for line in lines[:16]] == [str(best) for best in scored.is_best.ravel().tolist()]
+    grid = scored.partition.parts[0].landscape.grid
+    assert float(lines[0]["bend_1_mm3"]) == grid.cell_values()["bend_1"][scored.best[0]] == float(lines[3]["bend_1_mm3"])
+    assert (lines[1]["within"], lines[1]["train"], lines[1]["test"]) == ("static", "nylon 30 mm", "nylon 54 mm")
+
+
+def test_terms_not_certified_or_left_out_are_listed_below_the_table(scored):
+    left_out, uncertified = notes(scored)
+    assert re.search(r": nylon 30 mm -> silk 54 mm 1 of 4, .*silk 54 mm -> silk 54 mm 1 of 4$", left_out)
+    assert "nylon 54 mm -> nylon 30 mm 1 of 4" in uncertified
+    for page in (text(scored, 120), markdown(scored)):
+        assert left_out in page and uncertified in page
+    assert f" {16 - LISTED} " in notes(replace(scored, left_out=np.ones((4, 4), int)))[0]
+    jumped = replace(scored, jumped=np.eye(4, dtype=int), partition=replace(scored.partition, unlabelled=3))
+    assert "nylon 30 mm -> nylon 30 mm 1 of 4" in notes(jumped)[-1] and notes(jumped)[0].startswith("3 ")
+    certified = [re.findall(r"\d of \d", line) for line in text(scored, 300).split("\n\n")[-1].splitlines()[1:]]
+    assert certified == [["3 of 4", "3 of 3"], ["4 of 4", "4 of 4"], ["4 of 4", "4 of 4"], ["3 of 4", "3 of 3"]]
+
+
+def test_a_training_set_that_chooses_nothing_shows_a_dash():
+    found, = partition([static("a", np.full((3, 4), np.nan)), static("b", np.ones((3, 4)))], ("material",))
+    table = text(cross_validate(found), 120)
+    assert re.search(r"^a +\[–\] +– *$", table, re.MULTILINE)
+    assert re.search(r"^a +– +– +– +– +0 of 4 +–$", table, re.MULTILINE)
+    assert np.isnan(entries(cross_validate(found))[0]["twist_mm3"])
+
+
+def test_an_anisotropic_grid_names_both_bends_and_borders():
+    grid = Grid((Axis("bend_1", [1e5, 2e5]), Axis("bend_2", [1e4, 2e4, 4e4]), Axis("twist", [3e5])), bend_12=5.0)
+    distance = np.full((6, 4), 2.0)
+    distance[4] = 1.0
+    runs = [replace(static(name, distance), grid=grid) for name in "ab"]
+    choices = text(cross_validate(partition(runs, ("material",))[0]), 200).split("\n\n")[-1].splitlines()
+    assert re.split(r"  +", choices[0])[1:6] == ["bend_1 [mm³]", "bend_2 [mm³]", "bend_12 [mm³]", "twist [mm³]", "weight"]
+    assert re.split(r"  +", choices[1]) == ["a", "2e+05", "2e+04", "5", "3e+05", "1", "1.000", "4 of 4", "4 of 4", "bend_1"]

@@ -31,7 +31,6 @@ def experiment():
 
 
 def claimed_at_once(run, experiment, identities: list[str]) -> int:
-    """How many of them got the folder."""
     together = Barrier(len(identities))
 
     def begin(identity: str) -> bool:
@@ -84,8 +83,6 @@ def test_what_was_killed_holds_nothing_and_what_it_left_half_written_goes(tmp_pa
     check_refused("another sweep", claim, tmp_path, "other", experiment)
 
 
-# --- what differs from what a sweep wrote ---------------------------------------------------------------------------------
-
 @pytest.fixture(scope="module")
 def runs(tmp_path_factory):
     folder = tmp_path_factory.mktemp("runs")
@@ -104,7 +101,6 @@ def copy(runs, tmp_path):
 
 
 def with_column(run, name: str, change) -> None:
-    """Change one column of a run's first file of cells."""
     path = min((run / "cells").glob("*.parquet"))
     table = pyarrow.parquet.read_table(path)
     values = table.column(name).to_pylist()
@@ -166,7 +162,6 @@ def torn(path) -> None:
 
 
 def pipe(path) -> None:
-    """Which nobody writes to: it is not read."""
     path.unlink()
     os.mkfifo(path)
 
@@ -206,7 +201,6 @@ def test_a_summary_is_made_again_from_the_cells(copy, damage):
 
 
 def test_a_flipped_bit_in_an_unfinished_run_is_named(copy):
-    """There is no summary yet: the checksums of the pages detect it."""
     folder = copy("static")
     (folder / "summary.json").unlink()
     chunk = min((folder / "cells").glob("*.parquet"))
@@ -247,8 +241,6 @@ def test_an_identity_that_is_none_is_refused(copy):
     path.symlink_to("/dev/zero")
     check_refused("a device", sweep, path.parents[1], small_lab(), GRID)
 
-
-# --- sweeps among obstacles ---------------------------------------------------------------------------------------------
 
 def among(*obstacles, radius=2.0, **options) -> Experiment:
     surroundings = Surroundings(obstacles, radius) if obstacles else Surroundings()

@@ -1,5 +1,4 @@
-"""Whole sweeps on a small virtual lab, static and dynamic (Eq. 3): their files and rows, resuming, and independence of the
-division into chunks."""
+"""Whole sweeps on a small virtual lab, static and dynamic (Eq. 3): files and rows, resuming, independence of chunks."""
 
 import json
 from dataclasses import replace
@@ -8,10 +7,9 @@ import numpy as np
 import pyarrow.parquet
 import pytest
 
-from doo_ti import Axis, Grid, InputError, Material, Observations, SweepOptions, distance, relax, sweep
+from doo_ti import Axis, Grid, InputError, Material, Observations, SweepOptions, distance, read_landscape, relax, sweep
 from doo_ti.learning import sweeps
 from doo_ti.learning.experiment import Experiment, relax_cells
-from doo_ti.learning.landscape import read_landscape
 from doo_ti.learning.run_folder import read_experiment
 from doo_ti.learning.terms import Pairs, pairs_from_labels
 from doo_ti.motion.path import Motion, carry
@@ -61,8 +59,7 @@ def test_written_files(tmp_path, observations):
     schema = pyarrow.parquet.read_schema(path)
     assert {name: str(schema.field(name).type) for name in COLUMNS} == COLUMNS
     assert "material" in schema.names and len(cells(run)["bend_1"]) == 12 * 6
-    landscape = read_landscape(run)
-    best = summary["best"]
+    landscape, best = read_landscape(run), summary["best"]
     assert (best["bend_1"], best["twist"]) == (4e5, 4e5)
     assert best["mean_distance_mm"] == landscape.mean_distance[landscape.best] < 1
     assert summary["rods"] == {"count": 72, "converged": 72, "stable": 72}
@@ -75,7 +72,6 @@ def test_written_files(tmp_path, observations):
     (True, 2, KeyboardInterrupt(), 2, 6 * 6), (False, 4, MemoryError("no more"), 0, 3 * 6 * (GRID.size - 4))])
 def test_an_interrupted_sweep_resumes_and_ends_the_same(
         tmp_path, observations, small_chunks, monkeypatch, hint, last, error, kept, left):
-    """Also while the hypotheses of unknown turns are tried."""
     observations = observations if hint else replace(observations, total_twist=None)
     sweep(tmp_path / "whole", observations, GRID)
     interrupted(tmp_path / "run", monkeypatch, last, observations, error=error, said=f"{error}.*doo-ti sweep 'my lab'",
@@ -107,26 +103,21 @@ def test_too_large_a_grid_is_reported_before_it_starts(tmp_path, observations):
     assert not (tmp_path / "run").exists()
 
 
-# --- a dynamic sweep (Eq. 3) ----------------------------------------------------------------------------------------------
-
 def test_rows_are_what_eq_3_says(tmp_path):
     """Each row of a cell computed independently: one end carried in 48 sub-steps in f64."""
     observations, run = small_lab(), tmp_path / "run"
-    summary = sweep(run, observations, GRID, options=DYNAMIC)
-    pairs = pairs_from_labels(observations)
+    summary, pairs = sweep(run, observations, GRID, options=DYNAMIC), pairs_from_labels(observations)
     assert summary["pairs"] == 4 and summary["rods"] == {"count": 48, "converged": 48, "stable": 48}
     rows = cells(run)
     for cell in (0, 4, 11):
         values = {name: value[cell] for name, value in GRID.cell_values().items()}
-        material = Material(values["bend_1"], values["twist"])
-        clamps = observation_clamps(observations)
+        material, clamps = Material(values["bend_1"], values["twist"]), observation_clamps(observations)
         at_rest = relax(start_configuration(observations, clamps), material, clamps).configuration.take(pairs.from_index)
         held = clamps.take(pairs.from_index)
         path = Motion(held, end_turn=pairs.rotation[:, None] * held.end_frame[..., 0]).states(48)
         solution, _ = carry(at_rest, material, path)
         expected = distance(solution.configuration, observations, pairs.to_index)
-        off = distance(at_rest, observations, pairs.from_index)
-        here = slice(4 * cell, 4 * cell + 4)
+        off, here = distance(at_rest, observations, pairs.from_index), slice(4 * cell, 4 * cell + 4)
         np.testing.assert_array_equal(rows["from_observation"][here], pairs.from_index)
         np.testing.assert_array_equal(rows["observation"][here], pairs.to_index)
         np.testing.assert_allclose(rows["distance_mm"][here], expected, atol=1e-6)
@@ -139,8 +130,7 @@ def test_rows_are_what_eq_3_says(tmp_path):
 @pytest.mark.thorough
 def test_the_landscape_is_the_weighted_mean(tmp_path):
     observations = small_lab()
-    every = pairs_from_labels(observations)
-    weight = np.array([3.0, 0.0, 1.0, 0.5])
+    every, weight = pairs_from_labels(observations), np.array([3.0, 0.0, 1.0, 0.5])
     pairs = Pairs(every.from_index, every.to_index, weight, every.rotation)
     summary = sweep(tmp_path / "run", observations, GRID, options=DYNAMIC, pairs=pairs)
     assert summary["pairs"] == 3 and summary["timing"]["relaxed_rods"] == 36, "a pair of weight zero is not run"

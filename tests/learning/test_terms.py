@@ -1,5 +1,4 @@
-"""The pairs of Eq. 3, from labels as in the paper and from files; and hypotheses about unknown turns and spins: one for each
-observation, the same in all cells, where the data allow."""
+"""The pairs of Eq. 3, from labels and from files; hypotheses about unknown turns and spins, the same in all cells."""
 
 import re
 from dataclasses import replace
@@ -32,8 +31,7 @@ def test_pairs_of_the_paper(laboratory):
 
 
 def test_files_are_read_and_written(tmp_path):
-    observations = small_lab()
-    path = tmp_path / "pairs.csv"
+    observations, path = small_lab(), tmp_path / "pairs.csv"
     path.write_text("to, from,weight,rotation_deg\n4,0,2.5,480\n0,4,0,-120\n")
     pairs = terms.load_pairs(path, observations)
     assert (pairs.from_index.tolist(), pairs.to_index.tolist(), pairs.weight.tolist()) == ([0, 4], [4, 0], [2.5, 0])
@@ -72,7 +70,6 @@ def test_missing_labels_are_named():
 
 
 def test_half_a_turn_needs_a_given_direction(rng):
-    """Its frames are the same whichever way it went."""
     observations = small_lab()
     over = observations.end_frame.copy()
     over[1] = over[0] * [1, -1, -1]
@@ -81,8 +78,6 @@ def test_half_a_turn_needs_a_given_direction(rng):
     terms.check_ways(terms.Pairs([0], [1], [1.0], [np.pi]), clamps)
     terms.check_ways(terms.Pairs([0], [2], [1.0]), clamps)
 
-
-# --- unknown turns and spins ----------------------------------------------------------------------------------------------
 
 THREE = terms.Hypotheses(np.repeat(np.arange(4), 3), np.tile([-1, 0, 1], 4))
 SMALL = Grid((Axis("bend", np.geomspace(5e4, 1e7, 16)), Axis("twist_ratio", np.geomspace(0.1, 6, 16))))
@@ -120,8 +115,7 @@ def test_what_explains_an_observation_stands_for_it_in_all_cells(rng):
     distance[best, true] = 0.3
     sound = np.ones(distance.shape, dtype=bool)
     chosen, ambiguous = terms.resolved(distance, sound, np.ones(4), THREE)
-    assert (chosen == true).all() and not ambiguous.any()
-    assert (terms.nearest(distance, sound, THREE) != true).any()
+    assert (chosen == true).all() and not ambiguous.any() and (terms.nearest(distance, sound, THREE) != true).any()
     # A runner-up within 5 %: each cell keeps its nearest for that observation alone.
     distance[best, 4] = 0.31
     chosen, ambiguous = terms.resolved(distance, sound, np.ones(4), THREE)
@@ -164,8 +158,7 @@ def test_turns_under_eq_3_are_judged_where_rods_set_out(tmp_path, laboratory):
     """After a jump two turns may end alike; before it they do not."""
     observations = load_observations(laboratory / "lab_a" / "silk.npz")
     summary = sweep(tmp_path / "none", replace(observations, total_twist=None), SMALL, options=DYNAMIC)
-    kept = summary["hypotheses"]["kept"]
-    assert kept["turns"] == Experiment(observations, SMALL, DYNAMIC).hypotheses.turns.tolist()
+    assert summary["hypotheses"]["kept"]["turns"] == Experiment(observations, SMALL, DYNAMIC).hypotheses.turns.tolist()
 
 
 def test_spins_are_spread_over_a_turn():

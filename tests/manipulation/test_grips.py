@@ -1,5 +1,4 @@
-"""Rods that grippers hold between their ends: the planar elastica, forces as derivatives of the energy, and re-grasping; and
-rods that are stepped by their grippers."""
+"""Rods that grippers hold between their ends: the planar elastica, loads as derivatives of the energy, re-grasping, steps."""
 
 from dataclasses import replace
 from functools import partial
@@ -54,7 +53,6 @@ def test_a_raised_middle_is_the_elastica_to_second_order():
 
 @pytest.fixture(scope="module")
 def rope():
-    """(three ropes at rest, their material and clamps), of uneven stiffness and curved."""
     rod, clamps = hanging(300.0, 30, (0, 0, 0), ((180, 0, 0), (200, 30, 0), (220, 0, 40)), clamp=Clamp.FRAME)
     along = np.linspace(1.0, 2.0, rod.edges)[None, :, None, None] * 4e5 * np.eye(2)
     material = Material(along, np.linspace(3e5, 5e5, rod.edges - 1)[None], rest_curvature=(1e-3, 2e-3))
@@ -68,8 +66,7 @@ def test_taking_hold_moves_little_and_loads_balance(rope):
     grips = [Grip.where(solution.configuration, vertex) for vertex in (9, 20)]
     held = relax_held(solution.configuration, material, clamps, grips)
     assert held.solution.converged.all() and held.solution.stable.all()
-    apart = np.linalg.norm(held.solution.configuration.vertices - solution.configuration.vertices, axis=2)
-    assert apart.max() < 0.05
+    assert np.linalg.norm(held.solution.configuration.vertices - solution.configuration.vertices, axis=2).max() < 0.05
     np.testing.assert_allclose(held.solution.energy, solution.energy, rtol=1e-3)
     raised = [replace(grip, position=grip.position + [0, 0, 5.0]) for grip in grips]
     lifted = relax_held(held.solution.configuration, material, clamps, raised)
@@ -100,8 +97,7 @@ def test_grippers_take_hold_and_let_go(rope):
     lifted = simulation.step(clamps, [up])
     assert lifted.converged.all()
     np.testing.assert_allclose(lifted.configuration.vertices[:, 15], up.position, atol=1e-6)
-    other = Grip.where(lifted.configuration, 8)
-    regrasped = simulation.step(clamps, [other, up])
+    regrasped = simulation.step(clamps, [Grip.where(lifted.configuration, 8), up])
     assert regrasped.converged.all() and simulation.held.grip_loads().force.shape == (3, 2, 3)
     back = simulation.step(clamps)
     assert back.converged.all()
@@ -130,7 +126,6 @@ def test_grips_that_do_not_suit_are_refused(rope, vertices, obstacles, words):
 
 @pytest.mark.parametrize("change", [2 * np.eye(3), np.diag([1.0, 1, -1]), np.array([[1.0, 0.5, 0], [0, 1, 0], [0, 0, 1]])])
 def test_goals_whose_frames_are_no_rotations_are_refused(rope, change):
-    """A way to them would end at another pose."""
     solution, material, clamps = rope
     wrong, rods = replace(clamps, end_frame=clamps.end_frame @ change), solution.configuration
     one = [part.take([0]) for part in (rods, material, clamps)]
@@ -155,8 +150,6 @@ def test_a_rod_takes_its_own_sub_steps_whatever_the_others_need():
 def test_a_failure_on_the_way_stays_in_the_status():
     rods, clamps = hanging(300.0, 20, np.zeros((1, 3)), [[150.0, 0, 0]])
     simulation = Simulation(rods, Material(1e5, 1e5), clamps)
-    apart = moved(clamps, np.array([[0.0] * 6 + [400.0] + [0.0] * 5]))
-    assert simulation.step(apart).status[0] == Status.INFEASIBLE
+    assert simulation.step(moved(clamps, np.array([[0.0] * 6 + [400.0] + [0.0] * 5]))).status[0] == Status.INFEASIBLE
     assert simulation.step(clamps).status[0] == Status.INFEASIBLE  # still apart on most of the way back
-    assert simulation.step(clamps).converged.all()
-    assert simulation.reset().converged.all()
+    assert simulation.step(clamps).converged.all() and simulation.reset().converged.all()

@@ -1,5 +1,4 @@
-"""Plans: what they consist of, whether rods follow them to their targets, without jumps and clear of obstacles, and what they
-say where none can."""
+"""Plans, whether rods follow them to their targets; steps of damped least squares, the same in any batch."""
 
 from dataclasses import replace
 from functools import cache
@@ -9,6 +8,7 @@ import pytest
 
 import doo_ti as d
 from doo_ti.contact.surroundings import Surroundings
+from doo_ti.manipulation.damped_steps import DampedSteps, normal_equations
 from doo_ti.manipulation.equilibria import Clearance, Shapes
 from doo_ti.manipulation.model import drawn_in, moved, slack, slack_gradient
 from doo_ti.rod.frames import rotation_matrix
@@ -29,8 +29,7 @@ def test_shapes_are_those_of_their_rods():
     again = Shapes.of(shapes.rods, 10)
     assert np.allclose(again.place, shapes.place) and np.allclose(again.joints, shapes.joints, atol=1e-12)
     assert np.allclose(shapes.apart(again, 60.0), 0.0, atol=1e-5)
-    other = Shapes.of(shapes.rods, 0)
-    assert np.allclose(other.rods.vertices, shapes.rods.vertices)
+    assert np.allclose(Shapes.of(shapes.rods, 0).rods.vertices, shapes.rods.vertices)
 
 
 def test_a_way_leads_from_one_shape_to_the_other_at_a_constant_pace():
@@ -43,8 +42,7 @@ def test_a_way_leads_from_one_shape_to_the_other_at_a_constant_pace():
 
 def test_a_thin_obstacle_between_two_shapes_is_found():
     rods = Shapes(np.zeros((2, 3)), np.tile([1.0, 0, 0, 0], (2, 1)), np.zeros((2, 19, 3)), LENGTHS, 10).rods.vertices
-    needle = Surroundings([d.Capsule((3.0, 11.3, -50), (3.0, 11.3, 50), 0.2)], 0.3)
-    clearance = Clearance(needle, 100.0, 20)
+    clearance = Clearance(Surroundings([d.Capsule((3.0, 11.3, -50), (3.0, 11.3, 50), 0.2)], 0.3), 100.0, 20)
     for shift, clear in ((9.0, True), (40.0, False)):
         after = rods + [0, shift, 0]
         assert (clearance.between(rods, after, clearance.of(rods), clearance.of(after)) == clear).all()
@@ -62,15 +60,12 @@ def test_slack_and_its_gradient():
         assert np.allclose(looser, slack(clamps, 300.0, stiff) + 2.0)
 
 
-# --- plans ----------------------------------------------------------------------------------------------------------------
-
 @cache
 def some() -> Tasks:
     return tasks(6, 21)
 
 
 def followed(own: Tasks, path: d.ManipulationPath) -> np.ndarray:
-    """(T, V, 3) of the rod that follows the path; certified, and without a jump."""
     prediction = d.predict(own.real, own.true, own.clamps, path)
     assert prediction.followed.all() and not prediction.jumps.any()
     return prediction.vertices[:, 0]
@@ -85,8 +80,7 @@ def test_a_few_vertices_are_lifted(asked):
     """By 260 mm. Pulling the grippers apart lifts them with shorter moves, until the rod is taut; then both have to rise."""
     hung, clamps = d.hanging(330.0, 33, (0, 0, 0), (200, 0, 0), clamp=d.Clamp.FRAME)
     material = d.Material(6e5, 6e5)
-    hung = d.relax(hung, material, clamps).configuration
-    goal = np.full((1, 34, 3), np.nan)
+    hung, goal = d.relax(hung, material, clamps).configuration, np.full((1, 34, 3), np.nan)
     goal[0, asked] = hung.vertices[0, asked] + [0, 0, 260]
     path = d.plan_manipulation(hung, material, clamps, d.Targets(goal))
     assert path.reached and path.distance < 0.5
@@ -116,15 +110,13 @@ def test_no_rod_is_pulled_taut_to_a_straight_target():
     own = some().take(np.array([0]))
     place = np.linspace(0.0, LENGTH, own.real.edges + 1)
     path = plan(own, np.stack([place, 0 * place, 0 * place], axis=-1)[None], options=d.PlanOptions(seconds=4.0))
-    apart = np.linalg.norm(path.end_position[-1] - path.start_position[-1])
-    assert not path.reached and apart < 0.998 * LENGTH
+    assert not path.reached and np.linalg.norm(path.end_position[-1] - path.start_position[-1]) < 0.998 * LENGTH
 
 
 @pytest.mark.thorough
 def test_obstacles_are_kept_clear_of():
     """A ball where the straight motion of the grippers would take the rod."""
-    own = some().take(np.array([1]))
-    shift = np.zeros((1, 12))
+    own, shift = some().take(np.array([1])), np.zeros((1, 12))
     shift[:, [1, 7]] = 300.0
     goal = own.real.vertices + shift[:, None, :3]
     ball = d.Sphere(own.real.vertices[0, 16] + [0.0, 150.0, 0.0], 25.0)
@@ -133,13 +125,11 @@ def test_obstacles_are_kept_clear_of():
     around = Surroundings([ball], 1.5)
     assert around.smallest_gap(d.predict(own.real, own.true, own.clamps, straight, between=20).vertices[:, 0]).min() < 0
     path = plan(own, goal, obstacles=[ball], radius=1.5, options=d.PlanOptions(seconds=60.0))
-    shapes = followed(own, path)
-    assert path.reached and around.smallest_gap(shapes).min() > 0.0
+    assert path.reached and around.smallest_gap(followed(own, path)).min() > 0.0
 
 
 @pytest.mark.thorough
 def test_a_rod_that_rests_on_an_obstacle_is_lifted_off_it():
-    """The start is in contact, the goal behind the pole."""
     own = some().take(np.array([1]))
     middle = own.real.vertices[0, 16] - [0.0, 0, 5.0]
     pole = d.Capsule(middle - [0.0, 200.0, 0], middle + [0.0, 200.0, 0], 6.0)
@@ -153,8 +143,7 @@ def test_a_rod_that_rests_on_an_obstacle_is_lifted_off_it():
 
 
 def test_what_cannot_be_planned_is_refused():
-    own = some().take(np.array([0]))
-    two = some().take(np.array([0, 1]))
+    own, two = some().take(np.array([0])), some().take(np.array([0, 1]))
     for wrong, field in ((dict(rod=two.real), "rod"), (dict(targets=d.Targets(np.zeros((1, 5, 3)))), "targets"),
                          (dict(clamps=replace(own.clamps, end=d.Clamp.FREE)), "clamps"),
                          (dict(clamps=replace(own.clamps, end_position=own.clamps.end_position + 500.0)), "rod"),
@@ -165,3 +154,51 @@ def test_what_cannot_be_planned_is_refused():
         assert caught.value.field == field
     check_refused("seconds", d.PlanOptions, seconds=0.0)
     check_refused("PlanOptions: free", d.PlanOptions, free=("x",))
+
+
+def problems(count: int, size: int):
+    """JᵀJ (B, K, K) of columns of very different lengths, Jᵀe (B, K), lengths, a (B, K) and c (B,)."""
+    random = np.random.default_rng(0)
+    jacobian = random.normal(size=(count, 3 * size, size)) * np.geomspace(1e-3, 3.0, size)
+    across = np.swapaxes(jacobian, 1, 2)
+    return (across @ jacobian, (across @ random.normal(size=(count, 3 * size, 1)))[..., 0], random.uniform(0.01, 2.0, count),
+            random.normal(size=(count, size)), random.uniform(-0.1, 0.3, count))
+
+
+def test_normal_equations():
+    random = np.random.default_rng(1)
+    columns, residual = random.normal(size=(19, 6, 3, 7)), random.normal(size=(19, 6, 3))
+    weight = random.uniform(0, 2, (19, 6)) * (random.random((19, 6)) < 0.6)
+    normal, right = normal_equations(columns, weight, residual)
+    np.testing.assert_allclose(normal, np.einsum("bv,bvxi,bvxj->bij", weight, columns, columns), atol=1e-12)
+    np.testing.assert_allclose(right, np.einsum("bv,bvxi,bvx->bi", weight, columns, residual), atol=1e-12)
+    np.testing.assert_array_equal(normal_equations(columns[-1:], weight[-1:], residual[-1:])[0], normal[-1:])
+
+
+@pytest.mark.parametrize("count, size", [(1, 2), (200, 12)])
+def test_damped_steps_are_the_best_of_their_length_and_within_their_limit(count, size):
+    """Optimality: Jᵀe − JᵀJ u is λ u plus what lies along the limit, λ and the multiplier are not negative."""
+    normal, gradient, length, across, room = problems(count, size)
+    steps = DampedSteps(normal, gradient).below(length, across, room)
+    free = DampedSteps(normal, gradient).below(length, np.zeros_like(across), np.zeros_like(room))
+    active = np.sum(across * free, axis=1) > room
+    np.testing.assert_array_equal(steps[~active], free[~active])
+    np.testing.assert_allclose(np.sum(across * steps, axis=1)[active], room[active], atol=1e-9)
+    shortest = np.abs(room) / np.linalg.norm(across, axis=1)  # that reaches the limit
+    size = np.linalg.norm(steps, axis=1)
+    assert (size <= np.maximum(length, shortest * active) * (1 + 1e-9)).all()
+    for row in np.flatnonzero(length > shortest):
+        left = gradient[row] - normal[row] @ steps[row]
+        parts = np.stack([steps[row], across[row]])[: 1 + active[row]]
+        multipliers, *_ = np.linalg.lstsq(parts.T, left, rcond=None)
+        np.testing.assert_allclose(multipliers @ parts, left, atol=1e-4 * np.linalg.norm(gradient[row]))
+        assert (multipliers > -1e-4).all()
+    np.testing.assert_array_equal(DampedSteps(normal[:1], gradient[:1]).below(length[:1], across[:1], room[:1]), steps[:1])
+
+
+def test_no_step_where_none_is_allowed():
+    normal, gradient, length, across, room = problems(9, 12)
+    length[::2] = 0.0
+    steps = DampedSteps(normal, gradient).below(length, across, room)
+    assert not steps[::2].any() and steps[1::2].any(axis=1).all()
+    assert DampedSteps(normal[:0], gradient[:0]).below(length[:0], across[:0], room[:0]).shape == (0, 12)

@@ -21,7 +21,6 @@ def some(name: str) -> Tasks:
 
 
 def servo_of(own: Tasks, **other) -> d.Servo:
-    """For these rods, at first in the shape that they have, to their goals."""
     return d.Servo(**(dict(rod=own.rods, material=own.nominal, clamps=own.clamps, targets=d.Targets(own.goal)) | other))
 
 
@@ -29,8 +28,7 @@ def run(own: Tasks, servo: d.Servo, steps: int) -> tuple[np.ndarray, d.Simulatio
     """Mean distances (steps, B) of the true rods to their goals, and these rods."""
     random, simulation, distances = np.random.default_rng(5), own.simulation(), []
     for _ in range(steps):
-        clamps = servo.step(own.marks(simulation.state.configuration, 11, random))
-        state = simulation.step(held(clamps, own.clip))
+        state = simulation.step(held(servo.step(own.marks(simulation.state.configuration, 11, random)), own.clip))
         distances.append(np.linalg.norm(own.vertices(state.configuration) - own.goal, axis=-1).mean(axis=1))
     return np.array(distances), simulation
 
@@ -97,8 +95,7 @@ def test_no_step_is_longer_than_allowed_nor_moves_a_held_gripper():
 def test_a_loop_does_not_depend_on_the_others():
     """Its poses are equal bit by bit, whatever is seen of the others and whether these snap or are refused steps."""
     own = some("finer mesh, clips, rest curvature")
-    alone = own.take(np.array([5]))
-    random = np.random.default_rng(2)
+    alone, random = own.take(np.array([5])), np.random.default_rng(2)
     together, one = servo_of(own), servo_of(alone)
     simulation = own.simulation()
     for _ in range(8):
@@ -142,8 +139,7 @@ def test_other_rods_come_nearer_too(held):
     goal = np.full((2, rods.edges + 1, 3), np.nan)
     goal[:, 1:-1] = own.goal if held == "vertex clamps" else own.goal[:, 1:-1]
     servo = d.Servo(rods, own.nominal, own.clamps, d.Targets(goal), options, **around)
-    before = servo.distance
-    model = d.Simulation(rods, own.nominal, own.clamps)
+    before, model = servo.distance, d.Simulation(rods, own.nominal, own.clamps)
     for _ in range(3):
         model.step(servo.step(model.state.configuration.vertices))
     assert (servo.distance < before - 15.0).all() and servo.vertices.shape == goal.shape
@@ -155,7 +151,6 @@ HUNG = d.Material.from_physical(1e-4, 0.75e-4, 0.3)
 
 
 def hung(**around) -> tuple[d.Configuration, d.Clamps]:
-    """A rod of 330 mm, its ends 200 mm apart in x, at rest."""
     rod, clamps = d.hanging(330.0, 33, start=(0, 0, 0), end=(200, 0, 0), clamp=d.Clamp.FRAME)
     return d.relax(rod, HUNG, clamps, **around).configuration, clamps
 
@@ -184,8 +179,7 @@ def test_clips_that_are_farther_apart_than_reported_do_not_stretch_a_rod(off_mm)
         seen = simulation.state.configuration.vertices
         true = held(servo.step(seen + 0.3 * random.normal(size=seen.shape)), outwards)
         tips = true.start_position + 10 * true.start_frame[..., 0], true.end_position - 10 * true.end_frame[..., 0]
-        assert np.linalg.norm(tips[1] - tips[0]) < 310.0
-        assert simulation.step(true).converged.all()
+        assert np.linalg.norm(tips[1] - tips[0]) < 310.0 and simulation.step(true).converged.all()
 
 
 def test_marks_that_are_late_are_said_to_misfit():
@@ -195,8 +189,7 @@ def test_marks_that_are_late_are_said_to_misfit():
     servo, simulation, random = servo_of(own), own.simulation(), np.random.default_rng(5)
     late = simulation.state.configuration
     for _ in range(15):
-        marks = own.marks(late, 11, random)
-        late = simulation.state.configuration
+        marks, late = own.marks(late, 11, random), simulation.state.configuration
         simulation.step(held(servo.step(marks), own.clip))
         far = np.sqrt(np.nanmean(np.sum((marks - own.goal) ** 2, axis=-1), axis=1)) > 0.5 + 4 * NOISE
         assert not (far & (servo.status == d.ServoStatus.REACHED)).any()
@@ -240,14 +233,12 @@ def test_targets_out_of_reach_are_approached_and_said():
 def test_poses_are_the_caller_s_own_and_marks_may_be_whole_numbers():
     one, other = servo_of_two(), servo_of_two()
     seen = some("own mesh").take(np.arange(2)).rods.vertices.round()
-    clamps = one.step(seen.astype(np.int64))
-    clamps.end_position[:] += 100.0
+    one.step(seen.astype(np.int64)).end_position[:] += 100.0
     other.step(seen)
     np.testing.assert_array_equal(one.clamps.end_position, other.clamps.end_position)
 
 
 def test_small_steps_on_a_long_way_are_no_end_of_it():
-    """A rod that is far from its target for the length of its steps is on its way."""
     material = d.Material.from_physical(0.002, 0.002, weight_per_length=0.6)
     rod, clamps = d.hanging(1000.0, 40, start=(0, 0, 0), end=(600, 0, 0), clamp=d.Clamp.FRAME)
     shape = d.relax(rod, material, clamps).configuration.vertices

@@ -6,12 +6,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from doo_ti import DistanceMaps, Material, Status, detect, distance_maps, load_rig, score
+from doo_ti import DistanceMaps, Material, PerceptionOptions, Status, detect, distance_maps, load_rig, score
 from doo_ti.perception import search
 from doo_ti.perception.growth import rank_distinct, sampled_directions, select_hypotheses, suppress_similar
 from doo_ti.perception.perceive import Perception, PerceptionVerdict, perceive
 from doo_ti.perception.posterior import bending_hessian, vertex_sigma
-from doo_ti.perception.search import PerceptionOptions
 from doo_ti.rod.frames import arc_lengths, placed, unit_vectors
 from doo_ti.vision.images import load_sets, read_image
 from doo_ti.vision.tubes import smooth_curve
@@ -26,15 +25,12 @@ OPTIONS = PerceptionOptions(hypotheses=15)
 
 @pytest.fixture(scope="module")
 def scene():
-    """(rig, the rods' vertices, their maps)."""
     rods = curves(np.random.default_rng(8), SETS, EDGES)
-    fine = smooth_curve(rods, 4)
-    return three_cameras(), rods, drawn_maps(three_cameras(), fine)
+    return three_cameras(), rods, drawn_maps(three_cameras(), smooth_curve(rods, 4))
 
 
 @pytest.fixture(scope="module")
 def found(scene):
-    """(Perception, [(edges, kept, pruned)])."""
     steps = []
     return recovered(scene, on_step=lambda *step: steps.append(step)), steps
 
@@ -54,8 +50,7 @@ def loop():
 
 def recovered(scene, rows=slice(None), **arguments) -> Perception:
     rig, rods, maps = scene
-    rods = rods[rows]
-    some = DistanceMaps(maps.values, maps.window[rows])
+    rods, some = rods[rows], DistanceMaps(maps.values, maps.window[rows])
     return perceive(some, rig, rods[:, 0], 2.0 * (rods[:, 1] - rods[:, 0]), np.full(EDGES, 3.0), MATERIAL,
                     options=arguments.pop("options", OPTIONS), **arguments)
 
@@ -122,8 +117,7 @@ def test_one_camera_makes_a_rod_ambiguous(found):
 def test_images_of_other_cameras_are_no_rod(scene):
     """Two cameras swapped: no rod fits them, which the verdict says."""
     rig, rods, maps = scene
-    swapped = DistanceMaps(maps.values, np.ascontiguousarray(maps.window[:, [1, 0, 2]]))
-    several = recovered((rig, rods, swapped))
+    several = recovered((rig, rods, DistanceMaps(maps.values, np.ascontiguousarray(maps.window[:, [1, 0, 2]]))))
     assert several.verdict.tolist() == [PerceptionVerdict.NOT_FOUND] * SETS
     unseen = replace(several, camera_error=np.full_like(several.camera_error, np.nan))
     assert unseen.verdict.tolist() == [PerceptionVerdict.NOT_FOUND] * SETS
@@ -131,7 +125,6 @@ def test_images_of_other_cameras_are_no_rod(scene):
 
 @pytest.mark.thorough
 def test_an_edge_that_no_camera_sees_is_reported(scene):
-    """A thread that is hidden along two edges, in all images."""
     rig, rods, _ = scene
     lines = rig.project(smooth_curve(rods[0], 24))
     hidden = np.arange(lines.shape[1]) // 24
@@ -171,8 +164,7 @@ def greedily(score: np.ndarray, alike: np.ndarray, most: int) -> list[int]:
 
 
 def test_distinct_rods_are_ranked():
-    random = np.random.default_rng(3)
-    of_set = np.repeat([0, 1, 2], [6, 1, 9])
+    random, of_set = np.random.default_rng(3), np.repeat([0, 1, 2], [6, 1, 9])
     energy = random.random(16)
     energy[[2, 9]] = np.nan, np.inf
     vertices = random.normal(size=(16, 5, 3))
@@ -216,8 +208,7 @@ def test_a_finalist_that_is_no_certified_minimum_does_not_win(loop, monkeypatch)
 
 def test_bending_is_the_second_derivative_of_a_straight_rod_s_energy(rng):
     """Against finite differences of Σ |κb|²/l̄."""
-    lengths = rng.uniform(2, 4, 5)
-    turns = np.tile(np.eye(3)[:, 1:], (1, 5, 1, 1))
+    lengths, turns = rng.uniform(2, 4, 5), np.tile(np.eye(3)[:, 1:], (1, 5, 1, 1))
 
     def energy(turn: np.ndarray) -> float:
         tangents = np.concatenate([np.ones((5, 1)), np.concatenate([[[0.0, 0.0]], turn.reshape(4, 2)])], axis=1)
@@ -275,8 +266,6 @@ def test_options_are_checked(change):
     check_refused(next(iter(change)), PerceptionOptions, **change)
 
 
-# --- the stages of Algorithm 1 --------------------------------------------------------------------------------------------
-
 def test_directions_are_even_and_forward():
     directions = sampled_directions(200)
     np.testing.assert_allclose(np.linalg.norm(directions, axis=1), 1)
@@ -287,8 +276,7 @@ def test_directions_are_even_and_forward():
 
 
 def test_suppression_is_greedy():
-    directions = sampled_directions(60)
-    error = np.random.default_rng(4).random((7, 60))
+    directions, error = sampled_directions(60), np.random.default_rng(4).random((7, 60))
     error[2] = np.inf
     alike = directions @ directions.T > np.cos(np.radians(30))
     for found, row in zip(suppress_similar(error, directions, np.radians(30), 5), error, strict=True):
@@ -296,8 +284,7 @@ def test_suppression_is_greedy():
 
 
 def test_selection_is_greedy_in_every_set():
-    random = np.random.default_rng(5)
-    count = 90
+    random, count = np.random.default_rng(5), 90
     of_set = np.sort(random.integers(0, 4, count)) * 2  # sets without any hypothesis are allowed
     score, tip = random.random(count), random.random((count, 3)) * 3
     direction = unit_vectors(random.normal(size=(count, 3)))

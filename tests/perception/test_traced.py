@@ -25,7 +25,6 @@ PAIRS = Path(__file__).resolve().parents[3] / "shared" / "data" / "suture_stereo
 
 
 def views(rig: d.Rig, points: np.ndarray, noise: float, rng: np.random.Generator) -> list[d.Detection]:
-    """What each camera detects of a curve (N, 3) mm."""
     return [detection(camera, points, noise, rng) for camera in rig.cameras]
 
 
@@ -95,8 +94,7 @@ def test_depth_stays_in_bounds_where_images_say_nothing_of_it():
     path = ImagePath(np.stack([500 + place, 400 + 0.5 * place], axis=1), np.ones(300, dtype=bool), 0.0, 1.0)
     start = rig.cameras[0].centre + 300.0 * rays(rig.cameras[0], path.points[:1])[0]
     found, _, _ = curve_of(same, Match((path, path), np.tile(np.arange(0.0, 299.0, 2.0), (2, 1)), 0.0), start, 100.0, 0.0)
-    depth = rig.cameras[0].depth(found)
-    assert depth.max() <= 4.001 * rig.cameras[0].depth(start)
+    assert rig.cameras[0].depth(found).max() <= 4.001 * rig.cameras[0].depth(start)
 
 
 def test_a_rod_that_leaves_a_piece_of_the_thread_out_is_not_clear(seen):
@@ -124,8 +122,7 @@ def test_a_rod_along_something_wider_or_twice_along_a_line_is_noticed(seen):
 @pytest.mark.parametrize("share", [0.8, 1.15])
 def test_a_rod_of_another_length_lies_where_the_thread_is(seen, share):
     found = recovered(seen, share * LENGTH_MM)
-    error = errors(found, seen[1], share)
-    assert (error < 0.8).all() and (np.abs(found.thread_length / LENGTH_MM - 1) < 0.03).all()
+    assert (errors(found, seen[1], share) < 0.8).all() and (np.abs(found.thread_length / LENGTH_MM - 1) < 0.03).all()
     assert not (found.verdict == d.PerceptionVerdict.CLEAR).any()
     assert (np.abs(found.left_over - max(0.0, 1 - share) * LENGTH_MM) < 0.03 * LENGTH_MM).all()
 
@@ -143,7 +140,6 @@ def test_a_level_arch_does_not_begin_at_its_other_end(angle, height, rng):
 
 
 def test_a_thread_begins_near_where_it_did_a_moment_before(rng):
-    """Also where the rays of opposite ends meet."""
     rig, points = cameras(30.0, third=False), arch(10.0)
     first, second = rig.cameras
     rays = np.stack([points[0] - first.centre, second.centre - points[-1]], axis=1)
@@ -164,7 +160,6 @@ def test_a_thread_begins_where_the_rays_of_its_ends_meet(angle, turn, rng):
 
 
 def with_more(found, points: np.ndarray, tangent: np.ndarray):
-    """A detection with ``points`` (N, 2) px of something else."""
     return found.with_parts([line_of(points, tangent, found.width_px)])
 
 
@@ -221,7 +216,6 @@ def test_an_end_of_something_else_is_not_where_the_rod_begins(rng):
 
 
 def test_a_camera_from_which_a_part_is_hidden_does_not_cost_it(rng):
-    """Two cameras see all of the thread."""
     rig, points = cameras(40.0, third=True), curve(np.random.default_rng(7))
     images = views(rig, points, 0.1, rng)
     images[2] = images[2].take(np.arange(int(0.7 * images[2].count)))
@@ -254,8 +248,7 @@ def test_where_a_rod_is_clear_the_range_of_its_length_holds_the_thread_s(rng):
 
 def test_coverage_is_the_share_of_points_near_the_rod(seen):
     rig, curves, detections = seen
-    halves = np.array([points[:: 20][: 51] for points in curves])
-    found = coverage(rig, halves, np.arange(3), detections, 40.0)
+    found = coverage(rig, np.array([points[:: 20][: 51] for points in curves]), np.arange(3), detections, 40.0)
     for row, images in enumerate(detections):
         for c, camera in enumerate(rig.cameras):
             off = cKDTree(camera.project(curves[row][:1001:5])).query(images[c].points)[0]
@@ -288,8 +281,7 @@ def test_sigma_is_as_large_as_the_errors(noise):
     rig, curves = cameras(10.0, third=False), [curve(rng) for _ in range(6)]
     found = recovered((rig, curves, [views(rig, points, noise, rng) for points in curves]))
     error = np.array([cKDTree(points).query(rod)[0][2:] for rod, points in zip(found.vertices, curves, strict=True)])
-    ratio = np.sqrt((error**2).mean(axis=1) / (3 * found.sigma[:, 2:] ** 2).mean(axis=1))
-    assert 0.5 < np.sqrt(np.mean(ratio**2)) < 2
+    assert 0.5 < np.sqrt(np.mean((error**2).mean(axis=1) / (3 * found.sigma[:, 2:] ** 2).mean(axis=1))) < 2
 
 
 def test_where_nothing_was_detected_sigma_is_large(rng):

@@ -7,10 +7,9 @@ import numpy as np
 import pytest
 
 import doo_ti as d
+from doo_ti import How, PerceptionVerdict, TrackedFrame, Tracker, TrackingOptions, seen_vertices
 from doo_ti.motion.path import Motion, motion_between
-from doo_ti.perception.perceive import PerceptionVerdict
 from doo_ti.perception.search import PerceptionOptions, Search
-from doo_ti.perception.tracking import How, TrackedFrame, Tracker, TrackingOptions, seen_vertices
 from doo_ti.rod.frames import across, matrix_from_quaternion, quaternion_about, unit_vectors
 from doo_ti.vision.render import render_set
 from doo_ti.vision.tubes import smooth_curve
@@ -25,7 +24,6 @@ DIAMETER = 1.0
 
 @cache
 def _begin() -> d.Configuration:
-    """Near the first frame's rod."""
     return d.rod_along(curves(np.random.default_rng(8), 1, EDGES, turn=0.09)[0], EDGES)
 
 
@@ -57,12 +55,10 @@ def photographed(vertices: np.ndarray, first: int = 0) -> list[list[np.ndarray]]
 
 @cache
 def image(frame: int) -> list[np.ndarray]:
-    """C images."""
     return photographed(rods()[frame : frame + 1], frame)[0]
 
 
 def images() -> list[list[np.ndarray]]:
-    """T lists of C images."""
     return [image(frame) for frame in range(FRAMES)]
 
 
@@ -88,7 +84,6 @@ def tracked(video, truth, material=MATERIAL, far=None, search=PerceptionOptions(
 
 
 def test_a_lost_frame_is_followed_back_from_the_next(video):
-    """And one with another rod; the right one stays."""
     tracker = Tracker(three_cameras(), REST_LENGTH, MATERIAL)
     found = [tracker.see(video[k], rods()[k, 0], rods()[k, 1] - rods()[k, 0]) for k in range(2)]
     seed = rods()[0, 0], rods()[0, 1] - rods()[0, 0]
@@ -149,7 +144,6 @@ def test_a_rod_behind_a_bar_is_followed(video):
 
 @pytest.mark.thorough
 def test_two_cameras_will_do(video):
-    """One camera sees nothing for four frames."""
     hidden = [[frame[0], NOTHING, frame[2]] if 4 <= row < 8 else frame for row, frame in enumerate(video)]
     found, error = tracked(hidden, rods())
     assert all(frame.how == How.TRACKED for frame in found[1:]) and error.max() < 0.15
@@ -169,7 +163,6 @@ def test_a_cut_is_noticed(video):
 
 @pytest.mark.thorough
 def test_another_rod_is_not_tracked(video):
-    """The images of one rod with the seed of another, far from it."""
     tracker, rod = Tracker(three_cameras(), REST_LENGTH, MATERIAL), rods()[0]
     assert tracker.see(video[0], rod[0] + [0.0, 0.0, 60.0], [0.0, 0.0, 1.0]).how == How.LOST
     assert tracker.see(video[0], rod[0], rod[1] - rod[0]).how == How.SEEDED
@@ -179,8 +172,7 @@ def test_another_rod_is_not_tracked(video):
 def test_a_moving_gripper_takes_the_rod_along():
     """The rod turns as a whole by 12° from frame to frame, and moves 2 mm, as its seed shows."""
     shape = rods()[5] - rods()[5].mean(axis=0)
-    axis = np.array([0.6, 0.0, 0.8])
-    turns = matrix_from_quaternion(quaternion_about(axis, np.radians(12.0) * np.arange(8)))
+    turns = matrix_from_quaternion(quaternion_about(np.array([0.6, 0.0, 0.8]), np.radians(12.0) * np.arange(8)))
     truth = shape @ np.swapaxes(turns, 1, 2) + np.array([2.0, 0, 0]) * np.arange(8)[:, None, None]
     video = [[d.detect(one) for one in frame] for frame in photographed(truth)]
     found, error = tracked(video, truth, d.Material(2e5, 2e5, 0.0))
@@ -210,7 +202,6 @@ def test_a_known_far_clamp_predicts(video, monkeypatch):
 
 @pytest.mark.thorough
 def test_a_clamp_out_of_reach_does_no_harm(video):
-    """A motion with an error of 500 mm: the other starts remain."""
     place = far_motion().at(0.0)
     far = [motion_between(place, replace(place, end_position=place.end_position + 500.0))] * 2
     found, error = tracked(video[:3], rods()[:3], far=far)

@@ -26,15 +26,13 @@ def made():
 
 
 def about_tangent(angle) -> np.ndarray:
-    """(…, 3, 3) turns of a frame about its tangent."""
     return Rotation.from_rotvec(np.multiply.outer(angle, [1.0, 0, 0])).as_matrix()
 
 
 def test_the_curve_is_eq_4(made):
     """Sample by sample against F called the way an observation's own hypotheses are: another start, another clamp code."""
     options = TwistOptions(step=np.pi / 2, span=np.pi, precision="f64")
-    group = np.zeros(made.count, dtype=int)
-    offset = np.linspace(-0.5, 0.7, made.count)
+    group, offset = np.zeros(made.count, dtype=int), np.linspace(-0.5, 0.7, made.count)
     estimate = estimate_twist(made, MATERIAL, group, offset, options)
     clamps = replace(observation_clamps(made), end=Clamp.TANGENT)
     for place, phi in enumerate(options.angles):
@@ -48,8 +46,7 @@ def test_every_grasp_has_its_own_angle(made):
     """Footnote 4: two grasps, two turns of the rod in the gripper."""
     group = consecutive_groups(made.count, made.count, [3])
     assert group.tolist() == [0, 0, 0, 1, 1]
-    offset = made.total_twist - np.where(group == 0, 0.4, -1.1)
-    estimate = estimate_twist(made, MATERIAL, group, offset)
+    estimate = estimate_twist(made, MATERIAL, group, made.total_twist - np.where(group == 0, 0.4, -1.1))
     np.testing.assert_allclose(estimate.phi, [0.4, -1.1], atol=np.radians(1.0))
 
 
@@ -124,20 +121,16 @@ def test_wrong_arguments_are_named(made):
 def test_total_twist_is_the_angle_between_transported_directors(made):
     """Against angles in the plane across each edge."""
     rod = chain(np.diff(made.vertices[2], axis=0), [0, 1, 0], 3.0, spin=np.linspace(0, 7.0, EDGES))
-    frames = rod.frames[0]
-    angles = []
+    frames, angles = rod.frames[0], []
     for before, after in zip(frames[:-1], frames[1:], strict=True):
         axis = np.cross(before[:, 0], after[:, 0])
         sine, cosine = np.linalg.norm(axis), before[:, 0] @ after[:, 0]
-        axis = axis / max(sine, 1e-300)
-        m1 = before[:, 1]
+        axis, m1 = axis / max(sine, 1e-300), before[:, 1]
         carried = m1 * cosine + np.cross(axis, m1) * sine + axis * (axis @ m1) * (1 - cosine)
         angles.append(angle_about(after[:, 0], carried, after[:, 1]))
     assert np.sum(angles) == pytest.approx(7.0)
     assert total_twist(rod.quaternions)[0] == pytest.approx(np.sum(angles), abs=1e-12)
 
-
-# --- the 95 % intervals of Eq. 4 on simulated rods, whose twist is known --------------------------------------------------
 
 SPECIMENS = range(300, 303)
 WORLDS = {

@@ -12,8 +12,7 @@ ITERATIONS, OBSERVATIONS, VERTICES, BENDS, RATIOS = 13, 6, 9, 5, 4
 
 def observations(rng: np.random.Generator) -> np.ndarray:
     """(D, V, 3) mm: arches of three widths, twice each, all starting at the origin."""
-    along = np.linspace(0, 1, VERTICES)
-    width = np.repeat([30.0, 50.0, 70.0], 2)[:, None]
+    along, width = np.linspace(0, 1, VERTICES), np.repeat([30.0, 50.0, 70.0], 2)[:, None]
     arches = np.stack([width * along, 0 * width * along, (90 - width) * np.sin(np.pi * along) / 2], axis=-1)
     arches[:, 1:-1] += rng.normal(0, 0.3, (OBSERVATIONS, VERTICES - 2, 3))
     return arches
@@ -40,8 +39,7 @@ def relaxation(rng: np.random.Generator) -> dict:
     """Arguments of `record_sweep` for a relaxation without a landscape."""
     from doo_ti.record.sweep import SweepTrajectory
 
-    vertices = observations(rng)
-    decay = np.exp(-np.arange(ITERATIONS))
+    vertices, decay = observations(rng), np.exp(-np.arange(ITERATIONS))
     bump = np.sin(np.pi * np.linspace(0, 1, VERTICES))[None, :, None] * rng.normal(0, 4, (OBSERVATIONS, 1, 3))
     energy = 1e3 + 1e3 * decay[:, None] + rng.normal(0, 10, OBSERVATIONS)
     labels = {"end_distance_mm": np.repeat([30.0, 50.0, 70.0], 2), "end_rotation_deg": np.tile([0.0, 120.0], 3)}
@@ -54,7 +52,6 @@ def relaxation(rng: np.random.Generator) -> dict:
 
 
 def sweep(rng: np.random.Generator) -> dict:
-    """Arguments of `record_sweep`."""
     return relaxation(rng) | {"plane": plane(), "intervals": valley(grid(), landscape())}
 
 

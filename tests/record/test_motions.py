@@ -78,8 +78,7 @@ def test_rods_ties_and_forces_are_shown(tmp_path, rng):
 
 def helices(count: int, marks: int = 20) -> tuple[np.ndarray, np.ndarray]:
     """(D, V, 3) and m1 (D, E, 3), across each edge and level."""
-    along = np.linspace(0, 3, marks)
-    radius = np.linspace(5, 12, count)[:, None]
+    along, radius = np.linspace(0, 3, marks), np.linspace(5, 12, count)[:, None]
     vertices = np.stack([20 * along + 0 * radius, radius * np.cos(along), radius * np.sin(along)], axis=-1)
     across = np.cross(np.diff(vertices, axis=1), [0.0, 0.0, 1.0])
     return vertices, across / np.linalg.norm(across, axis=-1, keepdims=True)

@@ -1,7 +1,8 @@
-"""The recording, read back: entities, timelines and counts as docs/recording.md states them; one that cannot be written, and
-two of one name."""
+"""The recording, read back: entities, timelines and counts as docs/recording.md states them; without rerun none is made."""
 
+import subprocess
 import sys
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -10,10 +11,10 @@ import rerun
 import rerun.blueprint as blueprint
 from rerun.chunk import RrdReader
 
-from doo_ti import InterruptedRunError, LandscapePlane, Observed, Status
+from doo_ti import InterruptedRunError, LandscapePlane, Observed, Status, record_sweep
 from doo_ti.record import viewer
-from doo_ti.record.sweep import record_sweep
 from doo_ti.record.viewer import DESCRIPTORS, FAILED, open_viewer, recording
+from tests.commands.test_synth import SCENE
 from tests.conftest import SEED, check_refused
 from tests.processes import python
 from tests.record import runs
@@ -33,7 +34,6 @@ def written(tmp_path, run) -> tuple[dict, dict]:
 
 @pytest.fixture(scope="module")
 def swept(tmp_path_factory):
-    """(the arguments of a recording, its file, static data, moving data)."""
     folder, run = tmp_path_factory.mktemp("sweep"), runs.sweep(np.random.default_rng(SEED))
     return run, folder / "run.rrd", *written(folder, run)
 
@@ -41,8 +41,7 @@ def swept(tmp_path_factory):
 @pytest.mark.thorough
 def test_sweep_holds_the_documented_entities(swept):
     _, path, static, moving = swept
-    properties = {"/__properties", "/__properties/run"}
-    assert set(static) | set(moving) == ROOT | LANDSCAPE | properties
+    assert set(static) | set(moving) == ROOT | LANDSCAPE | {"/__properties", "/__properties/run"}
     assert {entity: set(timelines) for entity, timelines in moving.items()} == {
         "/world/rods": {"iteration", "trial"}, "/landscape/cells": {"trial"},
         **{entity: {"iteration"} for entity in ROOT if entity.startswith("/curves")}}
@@ -93,8 +92,7 @@ def test_a_rod_that_is_nan_is_not_drawn_and_keeps_its_place(tmp_path, rng):
     expected = np.full(counts.shape, runs.VERTICES)
     expected[4:, 2], expected[:, 3] = 0, 0
     np.testing.assert_array_equal(counts, expected)
-    failed = int.from_bytes(bytes(FAILED))
-    colors = static["/world/rods"]["LineStrips3D:colors"][0]
+    failed, colors = int.from_bytes(bytes(FAILED)), static["/world/rods"]["LineStrips3D:colors"][0]
     assert [color >> 8 == failed for color in colors] == [False, False, True, True, False, False]
     assert [len(strip) for strip in static["/world/observations"]["LineStrips3D:strips"][0]] == [9, 8, 9, 9, 9, 9]
     for entity in (name for name in ROOT if name.startswith("/curves")):
@@ -140,8 +138,7 @@ def test_landscape_picture_surface_and_cells(swept):
     cells = moving["/landscape/cells"]["trial"]
     missing = int(np.flatnonzero(np.isnan(landscape.reshape(-1)))[0])
     assert cells["trial"] == [trial for trial in range(runs.BENDS * runs.RATIOS) if trial != missing]
-    places = np.array(cells["Points3D:positions"])[:, 0]
-    values = landscape.reshape(-1)[cells["trial"]]
+    places, values = np.array(cells["Points3D:positions"])[:, 0], landscape.reshape(-1)[cells["trial"]]
     np.testing.assert_allclose(places[:, 2], 0.6 * values / np.nanmax(landscape), rtol=1e-6)
     first, second, _ = np.unravel_index(cells["trial"], landscape.shape)
     np.testing.assert_allclose(places[:, 0], first / (runs.BENDS - 1), atol=1e-6)
@@ -196,7 +193,6 @@ def test_viewer_listens_on_this_machine_only_and_reports_nothing(tmp_path, monke
 @pytest.mark.thorough
 @pytest.mark.skipif(sys.platform != "linux", reason="other systems have one display, which is there")
 def test_a_viewer_without_a_window_is_an_error(tmp_path, rng, monkeypatch, capfd):
-    """A display is named, but does not answer."""
     record_sweep(tmp_path / "run.rrd", **runs.sweep(rng))
     monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
     monkeypatch.setenv("DISPLAY", ":4242")
@@ -257,3 +253,45 @@ def test_a_recording_that_fails_leaves_nothing(tmp_path):
         logged(stream, 0.0)
         raise ValueError("trouble")
     assert list(tmp_path.iterdir()) == []
+
+
+WITHOUT = """
+import importlib.metadata as metadata, sys
+installed = metadata.version
+def version(package):
+    if package == "rerun-sdk":
+        raise metadata.PackageNotFoundError(package)
+    return installed(package)
+metadata.version = version
+sys.modules["rerun"] = None
+from doo_ti.commands.cli import main
+sys.exit(main(sys.argv[1:]))
+"""
+
+
+def without_rerun(folder: Path, *words: str) -> subprocess.CompletedProcess:
+    return python("-c", WITHOUT, *words, folder=folder)
+
+
+@pytest.mark.thorough
+def test_a_sweep_leaves_its_recording_out_and_says_so(tmp_path):
+    (tmp_path / "silk.toml").write_text(SCENE)
+    done = without_rerun(tmp_path, "sweep", "silk.toml", "--out", "run")
+    assert done.returncode == 0, done.stderr
+    said = [line for line in done.stderr.splitlines() if "rerun" in line]
+    assert len(said) == 1 and "pip install rerun-sdk" in said[0]
+    assert (tmp_path / "run" / "summary.json").is_file() and not (tmp_path / "run" / "run.rrd").exists()
+
+
+@pytest.mark.sampled(1)
+@pytest.mark.parametrize("words", [
+    ("simulate", "pendulum", "--out", "a.npz", "--recording", "a.rrd"),
+    ("predict", "three_materials", "--out", "a.npz", "--recording", "a.rrd"),
+    ("group", "reef_knot", "--out", "a.npz", "--recording", "a.rrd"),
+    ("view", "run"),
+    ("figures", "run", "--out", "pictures")])
+def test_a_recording_that_is_asked_for_is_refused_in_a_line(tmp_path, words):
+    (tmp_path / "run").mkdir()
+    done = without_rerun(tmp_path, *words)
+    assert done.returncode == 2 and "rerun" in done.stderr and len(done.stderr.splitlines()) == 1, done.stderr
+    assert [path.name for path in tmp_path.rglob("*")] == ["run"]

@@ -15,16 +15,12 @@ from tests.refinement.rods_between_clips import TRUTH, assert_gradient, held, mo
 
 @pytest.fixture(scope="module")
 def linear_model():
-    """(evidence, residuals, sizes) of five rods with frames."""
-    seen = suture(2, frames=True).take([0, 1, 2, 4, 5])
-    comparison, scales = model(held(seen, 34), with_frames=True)
+    comparison, scales = model(held(suture(2, frames=True).take([0, 1, 2, 4, 5]), 34), with_frames=True)
     values = comparison.unknowns.begun(TRUTH, np.array([2.0, 2.5]))
-    fit = Fit(comparison, values, Newton())
-    state = fit.begin(values, scales)
+    state = Fit(comparison, values, Newton()).begin(values, scales)
     linear, used = comparison.linear(state.solution, values, state.used)
     assert used.all()
-    offset = 0.1 + comparison.unknowns.offset(values, values)
-    return Evidence.of(comparison.unknowns, linear, offset), linear, scales
+    return Evidence.of(comparison.unknowns, linear, 0.1 + comparison.unknowns.offset(values, values)), linear, scales
 
 
 def dense(evidence: Evidence, linear, scales):
@@ -39,8 +35,7 @@ def dense(evidence: Evidence, linear, scales):
     prior = np.linalg.inv(precision)
     # r + J x + Z z + ε = 0 with x about −offset: the observed part of −r.
     rows = np.concatenate([j[k] for j, k in zip(shared, keep, strict=True)])
-    covariance = rows @ prior @ rows.T
-    at = 0
+    covariance, at = rows @ prior @ rows.T, 0
     for z, k in zip(effects, keep, strict=True):
         size = k.sum()
         covariance[at : at + size, at : at + size] += z[k] @ np.diag(variance) @ z[k].T + np.diag(noise[k])
@@ -85,7 +80,6 @@ def test_the_best_sizes_leave_no_slope(linear_model):
 
 
 def without(linear, d: int):
-    """The residuals of all observations but ``d``."""
     return tuple(replace(kind, **{name: np.delete(getattr(kind, name), d, axis=0)
                                   for name in ("values", "shared", "effects", "count")}) for kind in linear)
 
@@ -119,9 +113,6 @@ def test_left_out_is_the_decrease_of_the_evidence(linear_model):
     for d in range(len(own)):
         rest = dense(evidence, without(linear, d), scales)
         assert own[d] == pytest.approx(every - multivariate_normal(*rest[1:], allow_singular=True).logpdf(rest[0]), rel=1e-5)
-
-
-# --- the search for the sizes ---------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("bounds", [(np.full(3, -np.inf), np.full(3, np.inf)), (np.full(3, -2.0), np.array([0.8, 2.0, 2.0]))])

@@ -1,5 +1,4 @@
-"""Planar elasticas under their own weight, from scipy's solver of boundary value problems, which shares nothing with the
-package: a cable of 600 mm between two level clips, marks with noise, and nothing reported of the clips' directions."""
+"""Planar elasticas under their own weight by scipy: a cable of 600 mm between two clips whose directions nobody reported."""
 
 import json
 
@@ -24,8 +23,7 @@ def hanging(span: float, places: np.ndarray, stiffness: float = EI, rise: float 
     """(-, 2) mm of the ``places``, m, of a cable of that ``stiffness`` between clips ``rise`` apart in height that it leaves at
     ``tilts``, rad: x, y, θ with EI θ'' = w (L − s) cos θ − H sin θ + V cos θ."""
     weight, s = GRAMS_PER_METRE * 1e-3 * 9.81, np.linspace(0, LENGTH, 401)
-    sag = brentq(lambda angle: j0(angle) - span / LENGTH, 0, 2.4)
-    angle = -sag * np.sin(2 * np.pi * s / LENGTH)
+    angle = -brentq(lambda angle: j0(angle) - span / LENGTH, 0, 2.4) * np.sin(2 * np.pi * s / LENGTH)
     guess = np.array([np.cumsum(np.cos(angle)) * s[1], np.cumsum(np.sin(angle)) * s[1], angle, np.gradient(angle, s)])
 
     def slope(s, y, force):
@@ -75,7 +73,6 @@ def test_bend_alone_from_a_sweep_holds_the_truth(marks, tmp_path):
 
 
 def is_minimum(shape: np.ndarray) -> bool:
-    """Whether a cable stays in that equilibrium."""
     seen = Observations(across(shape, 0.0)[None])
     clamps = observation_clamps(seen)
     material = Material.from_physical(SOFT, SOFT, GRAMS_PER_METRE * 9.81e-3)
@@ -107,5 +104,4 @@ def test_all_poses_count_wherever_the_fit_begins(precise, tmp_path, begin):
     """Rods that roll freely explain such planar shapes best, until they are about to snap; the fit must not end so."""
     low, high = interval([precise, "--EI", begin], tmp_path / "found.json")
     found = json.loads((tmp_path / "found.json").read_text())[0]
-    assert found["rods_used"] == 9 and found["converged"]
-    assert low < SOFT < high < 1.2 * low
+    assert found["rods_used"] == 9 and found["converged"] and low < SOFT < high < 1.2 * low

@@ -55,7 +55,6 @@ def test_noise_free_straight_rods_between_known_clips_give_their_theta_back(rng)
 
 @pytest.mark.thorough
 def test_marks_in_a_wrong_order_are_named(rng):
-    """The reverse order of evenly spaced marks on a straight rod is right as well."""
     observations, truth = own_mesh(rng, count=10)
     vertices = observations.vertices + 0.02 * rng.normal(size=observations.vertices.shape)
     vertices[4, [5, 9]] = vertices[4, [9, 5]]
@@ -63,8 +62,7 @@ def test_marks_in_a_wrong_order_are_named(rng):
     wrong = replace(observations, vertices=vertices, start_frame=None, end_frame=None)
     out = fitted(wrong, truth, parameters=("bend",), curvature="none")
     assert {one.observation: one.marks for one in out.mislabelled} == {4: (5, 9), 7: (6,)}
-    assert not out.used[[4, 7]].any() and out.used.sum() == 8
-    assert "5 and 9" in out.mislabelled[0].text
+    assert not out.used[[4, 7]].any() and out.used.sum() == 8 and "5 and 9" in out.mislabelled[0].text
 
 
 @pytest.mark.thorough
@@ -80,8 +78,7 @@ def test_uniform_curvature_and_up_come_back(rng):
 
 @pytest.mark.thorough
 def test_a_ribbon_s_three_stiffnesses_come_back():
-    truth = np.array([[9e5, 0.0], [0.0, 3e5]])
-    ribbon = suture(frames=True, bend=truth.tolist(), label_noise_mm=0.02)
+    ribbon = suture(frames=True, bend=((9e5, 0.0), (0.0, 3e5)), label_noise_mm=0.02)
     out = fitted(ribbon, Theta(np.diag([6e5, 4e5]), 4e5), parameters=("bend_1", "bend_2", "twist"), frame_weight=5.0)
     assert out.converged
     for name, value in (("bend_1", 9e5), ("bend_2", 3e5), ("twist", TWIST)):
@@ -96,8 +93,7 @@ def test_intervals_hold_the_truth_of_a_curved_rod_between_clips(found):
     # The lab's fine edges clamp half an edge before the clip ends.
     assert holds(found.estimate.parameter("clip_start"), 2.25) and holds(found.estimate.parameter("clip_end"), 2.25)
     assert found.adequacy.noise == pytest.approx(NOISE, rel=0.1) and found.adequacy.reaches_noise
-    assert abs(found.adequacy.correlation) < 0.1 and not found.adequacy.advice
-    assert found.mesh_error < NOISE
+    assert abs(found.adequacy.correlation) < 0.1 and not found.adequacy.advice and found.mesh_error < NOISE
     outline = found.estimate.region("bend", "twist")
     assert outline[:, 0].min() < found.theta.bend[0, 0] < outline[:, 0].max()
     straight, = (score for score in found.scores if score.model == "straight")
@@ -192,8 +188,7 @@ def test_rods_without_an_equilibrium_do_not_count(seen):
 def test_lowest_cells_are_those_no_neighbour_is_below():
     grid = Grid((Axis("bend", np.geomspace(1e5, 1e7, 4)), Axis("twist", np.geomspace(1e5, 1e7, 3))))
     height = np.array([[3, 2, 5], [4, 9, 5], [np.nan, 9, 1], [0, 7, 6]], dtype=float).ravel()
-    assert lowest_cells(grid, height, 5).tolist() == [9, 8, 1]
-    assert lowest_cells(grid, height, 2).tolist() == [9, 8]
+    assert lowest_cells(grid, height, 5).tolist() == [9, 8, 1] and lowest_cells(grid, height, 2).tolist() == [9, 8]
     assert not len(lowest_cells(grid, np.full(12, np.nan), 2))
     theta = theta_of_cell(grid, 8, [0.0, 1.0, 0.0])
     assert (theta.bend[0, 0], theta.twist, theta.up.tolist()) == (grid.axes[0].values[2], 1e7, [0, 1, 0])
@@ -212,8 +207,7 @@ def test_folds_cut_no_group_apart():
 def test_held_out_errors_are_those_of_rods_the_fit_did_not_see(seen):
     fold = folds_of(np.arange(12), 3)
     out = refine_held_out(seen, observation_clamps(seen), TRUTH, fold, QUICK)
-    inside = np.flatnonzero(fold != 1)
-    alone = fitted(seen.take(inside), TRUTH)
+    alone = fitted(seen.take(np.flatnonzero(fold != 1)), TRUTH)
     np.testing.assert_array_equal(out.refinements[1].theta.bend, alone.theta.bend)
     assert out.sound.all() and len(out.refinements) == 3
     # Eq. 1 of marks that are NOISE off in each coordinate: √(8/π) of that, of the marks that are noisy.

@@ -1,5 +1,4 @@
-"""The mesh between the clips, the field of rest curvature on it, the places of the marks; and the derivatives of all residuals
-with respect to all unknowns, against rods relaxed again."""
+"""The mesh between the clips, the rest curvature on it, the places of marks; derivatives of all residuals by all unknowns."""
 
 from dataclasses import replace
 
@@ -22,8 +21,7 @@ from tests.refinement.rods_between_clips import TRUTH, held, model, suture
 def test_edges_share_what_lies_between_the_clips(kinds, count):
     rod = held(suture(1), 40, kinds)
     clip, spacing = np.array([1.7, 3.1]), rod.observations.rest_length
-    mesh = rod.mesh(Lengths(clip, spacing))
-    free = 99.0 - clip[rod.clamped].sum()
+    mesh, free = rod.mesh(Lengths(clip, spacing)), 99.0 - clip[rod.clamped].sum()
     assert mesh.edge == pytest.approx(free / count)
     if rod.clamped[0]:  # the middle of the first edge is where the clip lets go
         assert mesh.place[:2].mean() == pytest.approx(1.7)
@@ -53,8 +51,7 @@ def test_turns_and_their_jacobian(rng):
 
 
 def test_the_field_is_linear_between_knots_and_its_covariance_slopes_as_it_says(rng):
-    knots = np.sort(rng.uniform(0, 90, 8))
-    values = rng.normal(size=8)
+    knots, values = np.sort(rng.uniform(0, 90, 8)), rng.normal(size=8)
     place = np.linspace(-5, 95, 23)
     weights, slopes = values_at(place, knots)
     np.testing.assert_allclose(weights @ values, np.interp(place, knots, values), atol=1e-12)
@@ -83,8 +80,6 @@ def test_the_corrected_mesh_is_close_to_a_very_fine_one():
     after = np.abs(rod.marks(coarse, lengths) + mesh_correction(unknowns, values, coarse, solver) - exact).max()
     assert 0.01 < before < 0.5 and after < 0.15 * before
 
-
-# --- derivatives ----------------------------------------------------------------------------------------------------------
 
 SHARP = Newton(tolerance=1e-10)
 RIBBON = Theta([[6e5, 1e5], [1e5, 3e5]], 3e5, 1.2, up=np.array([0.1, -0.05, 1.0]) / np.sqrt(1.0125))

@@ -1,5 +1,4 @@
-"""Rods of which nobody measured the rolls: held, every observation is relaxed at several, and which is right is integrated out;
-or they roll freely."""
+"""Rods whose rolls nobody measured: held, each is relaxed at several, which are integrated over; or they roll freely."""
 
 import json
 from dataclasses import replace
@@ -44,8 +43,7 @@ def probability(fitted: Fitted, scales, x: np.ndarray, fit: Fit) -> float:
 
 
 def test_all_windows_together_are_as_good_as_uniform():
-    roll = np.linspace(0, 2 * np.pi, 500)
-    turns = 2 * np.pi * np.arange(-3, 4)
+    roll, turns = np.linspace(0, 2 * np.pi, 500), 2 * np.pi * np.arange(-3, 4)
     density = np.exp(-0.5 * ((roll[:, None, None] - NODES[:, None] - turns) / WINDOW) ** 2).sum(axis=(1, 2))
     assert density.max() / density.min() < 1.05
 
@@ -159,8 +157,6 @@ def test_intervals_of_marks_of_others_hold_the_truth(tmp_path):
     assert np.median(np.abs(np.log(found[:, 0] / truth))) < np.log(1.05)
 
 
-# --- rods that roll freely ------------------------------------------------------------------------------------------------
-
 LENGTH, BEND, CURVATURE, NOISE = 100.0, 4e5, 0.015, 0.1
 CURVED = Theta(BEND * np.eye(2), 0.8 * BEND, 1.0, [CURVATURE, 0.0])
 
@@ -174,8 +170,7 @@ def marks(rng, poses: int = 10, edges: int = 100, every: int = 5) -> np.ndarray:
     curves = LENGTH * np.einsum("ks,kdx->dsx", cubic, np.stack([first[..., 0], span, last[..., 0]]))
     begun = start_configuration(Observations(curves, rest_length=np.full(edges, LENGTH / edges)), held, np.zeros(poses))
     rods = relax(begun, CURVED.material, held)
-    sound = rods.converged & rods.stable
-    seen = rods.configuration.vertices[sound, ::every]
+    seen = rods.configuration.vertices[rods.converged & rods.stable, ::every]
     return seen + NOISE * rng.normal(size=seen.shape)
 
 
@@ -185,6 +180,5 @@ def test_curved_rods_that_roll_freely_are_not_taken_for_soft_straight_ones(rng):
     seen = Observations(marks(rng), rest_length=np.full(20, LENGTH / 20))
     found = refine(seen, observation_clamps(seen), Theta(1.5 * BEND * np.eye(2), 1.2 * BEND), RefinementOptions())
     bend = found.estimate.parameter("bend")
-    assert found.swivels and found.converged
-    assert bend.low < BEND < bend.high < 2 * bend.low
+    assert found.swivels and found.converged and bend.low < BEND < bend.high < 2 * bend.low
     assert np.sqrt((found.theta.rest_curvature**2).sum(axis=1).mean()) == pytest.approx(CURVATURE, rel=0.25)

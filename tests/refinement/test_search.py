@@ -18,9 +18,7 @@ from tests.refinement.rods_between_clips import TRUTH, held, suture
 
 
 def fit_of(seen: Observations) -> tuple[Fit, Values, Scales]:
-    """The fit of bend and twist, and where it begins."""
-    unknowns = Unknowns(held(seen), ("bend", "twist"))
-    spacing = float(seen.rest_length[0])
+    unknowns, spacing = Unknowns(held(seen), ("bend", "twist")), float(seen.rest_length[0])
     scales = typical_scales(unknowns.rod.length, spacing, unknowns.scale_names | {"marks", "gap"}, {})
     values = unknowns.begun(TRUTH, unknowns.clip_prior)
     return Fit(Comparison.of(unknowns, False), values, Newton()), values, scales
@@ -38,8 +36,7 @@ def test_a_converged_fit_is_at_rest_in_every_observation():
     for found in optima(seen, observation_clamps(seen), (TRUTH,), options):
         one = finished(found, options)
         assert found.fitted.converged and one.fitted.converged
-        further = one.fit.run(one.fitted.state, 12)
-        assert further.posterior.value == pytest.approx(one.fitted.posterior.value, abs=0.5)
+        assert one.fit.run(one.fitted.state, 12).posterior.value == pytest.approx(one.fitted.posterior.value, abs=0.5)
 
 
 @pytest.mark.thorough
@@ -56,15 +53,13 @@ def test_turns_that_were_measured_are_returned_to():
 @pytest.mark.thorough
 def test_fits_begin_with_the_least_twist_too():
     """Between marks far apart a soft rod with a turn more looks the same, and would confirm its softness."""
-    seen = replace(suture(), total_twist=None)
-    least = next(iter(twisted(*fit_of(seen))))
+    least = next(iter(twisted(*fit_of(replace(suture(), total_twist=None)))))
     assert np.abs(_twist(least)).max() < np.pi + 0.5
 
 
 def test_the_first_mesh_resolves_bends_beside_clamps():
     cable = Observations(np.linspace(0, [1000.0, 0, 0], 9)[None], rest_length=np.full(8, 125.0))
-    edges = [first_edges(cable, Theta(bend * np.eye(2), bend)) for bend in (1e9, 2e6, 1e3)]
-    assert edges == [24, 45, 64]
+    assert [first_edges(cable, Theta(bend * np.eye(2), bend)) for bend in (1e9, 2e6, 1e3)] == [24, 45, 64]
 
 
 @pytest.mark.thorough

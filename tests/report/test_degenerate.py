@@ -44,8 +44,7 @@ def test_a_box_is_finite_and_has_a_side(rod):
     assert np.isfinite([low, high]).all() and (high >= low).all() and widest(low, high) > 0
     assert widest(*box(np.empty((0, 2)))) == 1.0
     np.testing.assert_allclose(deviations(rod).sum(axis=0), 0.0, atol=1e-9)
-    limits = limits_around(rod[:, :2], 0.55, 0.1)
-    assert (np.ptp(limits, axis=-1) > 0).all()
+    assert (np.ptp(limits_around(rod[:, :2], 0.55, 0.1), axis=-1) > 0).all()
 
 
 def test_each_has_a_place_in_the_grid_view(rod):
@@ -90,8 +89,7 @@ def test_motions_are_recorded(tmp_path, rod):
 
     rerun.set_strict_mode(True)
     for rods in alone_and_beside_another(rod):
-        count = len(rods)
-        positions = np.repeat(rods[:, None], 3, axis=1)
+        count, positions = len(rods), np.repeat(rods[:, None], 3, axis=1)
         record_rollout(tmp_path / "rods.rrd", "rods", ["a", "b"][:count], positions, positions, 10.0, UP)
         record_motion(tmp_path / "motion.rrd", run_id="m", name="rods", rods=moving(positions), curves={}, text="")
         run = runs.relaxation(np.random.default_rng(1))

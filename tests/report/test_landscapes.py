@@ -76,8 +76,7 @@ def test_regimes_and_region_are_drawn():
     def image(axes, region=None):
         return landscapes.landscape_image(LandscapePlane.of(axes, values, (0, 0, 0, 0)), title="made up", region=region)
 
-    plain = image(axes)
-    angle = np.linspace(0, 2 * np.pi, 60, endpoint=False)
+    plain, angle = image(axes), np.linspace(0, 2 * np.pi, 60, endpoint=False)
     ellipse = np.stack([1e6 * np.exp(np.cos(angle)), 1e6 * np.exp(0.5 * np.sin(angle))], axis=-1)
     region = image(axes, ellipse)
     orange = (np.abs(region.astype(int) - (255, 159, 28)).max(axis=-1) < 8).sum()
@@ -96,9 +95,8 @@ def test_every_panel_and_key_is_inside_the_picture(rng):
     counts = np.zeros(values.shape, int)
     counts[1, 1], values[2, 2] = 4, np.nan
     whole = LandscapePlane.of(axes, values, (0, 0, 0, 0), counts)
-    lost = LandscapePlane.of(axes, np.full(values.shape, np.nan))
     rows = [[LandscapePanel(f"ribbon {k}", whole, (("30, 42", (5, 5)), ("54", (4, 5)))) for k in range(5)],
-            [LandscapePanel("nothing", lost)]]
+            [LandscapePanel("nothing", LandscapePlane.of(axes, np.full(values.shape, np.nan)))]]
     for relative in (False, True):
         figure, drawn = draw_panels(rows, "made up", "others", relative)
         figure.canvas.draw()
@@ -116,8 +114,7 @@ def large(shape: tuple[int, ...]):
     axes = [("bend", np.geomspace(1e4, 1e7, shape[0]), True, "mm³")]
     if len(shape) > 1:
         axes.append(("twist_ratio", np.linspace(0.1, 6, shape[1]), False, ""))
-    places = np.indices(shape)
-    values = 2 + sum(((place - 0.4 * size) / size) ** 2 for place, size in zip(places, shape, strict=True))
+    values = 2 + sum(((place - 0.4 * size) / size) ** 2 for place, size in zip(np.indices(shape), shape, strict=True))
     minimum = tuple(size // 3 for size in shape)
     values[minimum] = 1.0
     unfinished = np.zeros(shape, int)

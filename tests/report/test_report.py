@@ -1,5 +1,4 @@
-"""The landscape's picture: its elements and their places, for every shape of grid. The grid view: every observation at its own
-place, gravity down; subtracting the offset gives true coordinates."""
+"""The landscape's picture, for every shape of grid; the grid view; from where rods in motion are shown, and forces on them."""
 
 import io
 
@@ -7,11 +6,13 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from doo_ti import Observations, Observed
+from doo_ti import Observations, Observed, Plane, Surroundings
+from doo_ti.report import motions
 from doo_ti.report.canvas import direction, distance_colors, fit_titles, grid_view, landscape_colors, new_figure, quantity
+from doo_ti.report.contact import Touched
 from doo_ti.report.figures import angle_curves_picture
 from doo_ti.report.landscapes import LandscapePanel, draw_landscape, landscape_image, landscape_picture, landscapes_picture
-from doo_ti.report.motions import MovingRods, motions_picture
+from doo_ti.report.motions import MovingRods, _view, motions_picture, save_rollout
 from doo_ti.report.plane import LandscapePlane, cell_edges, valley_cells
 from tests.record import runs
 
@@ -35,8 +36,7 @@ def test_picture_and_image_are_one_drawing(tmp_path):
     buffer = io.BytesIO()
     landscape_picture(buffer, runs.plane(), title="made up")
     image = landscape_image(runs.plane(), title="made up")
-    assert image.shape == (1200, 1600, 3)
-    assert image.dtype == np.uint8
+    assert image.shape == (1200, 1600, 3) and image.dtype == np.uint8
     for source in (tmp_path / "landscape.png", buffer):
         np.testing.assert_array_equal(np.asarray(Image.open(source).convert("RGB")), image)
 
@@ -76,8 +76,7 @@ def test_cells_not_evaluated_are_grey_and_unfinished_ones_hatched():
         return (image == GREY).all(axis=-1).sum()
 
     plain = image(values)
-    filled = image(np.nan_to_num(values, nan=5.0))
-    assert grey(plain) > 20_000 > 100 > grey(filled)
+    assert grey(plain) > 20_000 > 100 > grey(image(np.nan_to_num(values, nan=5.0)))
     counts = np.zeros(values.shape, int)
     counts[0, 0] = 3
     assert (image(values, counts) != plain).any()
@@ -87,9 +86,8 @@ def test_cells_not_evaluated_are_grey_and_unfinished_ones_hatched():
 @pytest.mark.parametrize("shape", [(1, 1, 1), (7, 1, 1), (1, 1, 4), (3, 2, 2), (25, 30, 1), (3, 3, 3, 2)])
 @pytest.mark.parametrize("empty", [False, True])
 def test_every_shape_of_grid_is_drawn_with_its_key_inside_the_picture(shape, empty, rng):
-    names = ["bend_1", "bend_2", "twist", "weight"]
     axes = [(name, np.geomspace(5e4, 1.26e7, count), name != "weight", "mm³")
-            for name, count in zip(names, shape, strict=False)]
+            for name, count in zip(["bend_1", "bend_2", "twist", "weight"], shape, strict=False)]
     values = np.full(shape, np.nan) if empty else rng.uniform(0.5, 40, shape)
     minimum = None if empty else np.unravel_index(np.argmin(values), shape)
     unfinished = rng.integers(0, 60, shape)
@@ -99,8 +97,7 @@ def test_every_shape_of_grid_is_drawn_with_its_key_inside_the_picture(shape, emp
     figure.canvas.draw()
     width, height = figure.canvas.get_width_height()
     for box in [key.get_window_extent() for key in figure.legends] + [figure.axes[0].title.get_window_extent()]:
-        assert 0 <= box.x0 < box.x1 <= width
-        assert 0 <= box.y0 < box.y1 <= height
+        assert 0 <= box.x0 < box.x1 <= width and 0 <= box.y0 < box.y1 <= height
 
 
 def test_more_than_two_free_axes_show_the_minimum_over_the_others(rng):
@@ -111,13 +108,11 @@ def test_more_than_two_free_axes_show_the_minimum_over_the_others(rng):
     unfinished = rng.integers(0, 9, values.shape)
     plane = LandscapePlane.of(axes, values, minimum, unfinished)
     np.testing.assert_array_equal(plane.values, values[0].min(axis=(2, 3)))
-    assert plane.minimum == minimum[1:3]
-    assert plane.hidden == ("c", "d")
+    assert plane.minimum == minimum[1:3] and plane.hidden == ("c", "d")
     index = np.unravel_index(np.arange(values.size), values.shape)
     np.testing.assert_array_equal(plane.places(index), index[1:3])
     assert plane.best == tuple((axis[0], axis[1][k], "") for axis, k in zip(axes[1:], minimum[1:], strict=True))
-    at = np.unravel_index(np.argmin(values[0, 2, 1]), (5, 2))
-    assert plane.unfinished[2, 1] == unfinished[0, 2, 1][at]
+    assert plane.unfinished[2, 1] == unfinished[0, 2, 1][np.unravel_index(np.argmin(values[0, 2, 1]), (5, 2))]
 
 
 def test_valley_is_within_five_percent_and_leaves_nan_out():
@@ -152,9 +147,7 @@ def test_surface_leaves_out_what_was_not_evaluated():
 def test_colors_are_the_picture_s_and_never_a_colour_for_nan():
     distance = np.array([0.4, 1.0, np.nan, 9.0])
     for colors in (landscape_colors(distance, distance), distance_colors(distance)):
-        assert colors.shape == (4, 3)
-        assert colors.dtype == np.uint8
-        assert tuple(colors[2]) == GREY
+        assert colors.shape == (4, 3) and colors.dtype == np.uint8 and tuple(colors[2]) == GREY
         assert len({tuple(color) for color in colors}) == 4
     assert distance_colors(np.full(3, np.nan)).tolist() == [list(GREY)] * 3
 
@@ -163,8 +156,7 @@ def test_colors_are_the_picture_s_and_never_a_colour_for_nan():
     (0, "0"), (0.7471, "0.747"), (14.07, "14.1"), (9999.9, "10⁴"), (123456, "1.23×10⁵"), (1e6, "10⁶"),
     (3.2e-5, "3.2×10⁻⁵"), (np.nan, "nan")])
 def test_quantities_are_written_for_people(value, text):
-    assert quantity(value) == text
-    assert quantity(value, "mm") == f"{text} mm"
+    assert quantity(value) == text and quantity(value, "mm") == f"{text} mm"
 
 
 def test_stiffness_stands_above_where_the_weight_is_known():
@@ -195,8 +187,7 @@ def test_no_observation_overlaps_another(labels, rng):
     sheet = grid_view(Observed(vertices, labels))
     low, high = boxes(vertices, sheet)
     apart = ((low[:, None] > high[None]) | (low[None] > high[:, None]))[..., [0, 2]].any(axis=-1)
-    assert (apart | np.eye(len(vertices), dtype=bool)).all()
-    assert (sheet.offset[0] == 0).all()
+    assert (apart | np.eye(len(vertices), dtype=bool)).all() and (sheet.offset[0] == 0).all()
     corner = sheet.basis @ sheet.centre
     assert (low[:, [0, 2]] > corner[[0, 2]] - sheet.extent / 2).all()
     assert (high[:, [0, 2]] < corner[[0, 2]] + sheet.extent / 2).all()
@@ -231,3 +222,60 @@ def test_plane_is_upright_along_the_rods(up, rng):
     assert np.linalg.det(basis) > 0
     if up == (0, 0, 1):
         assert right[0] > 0.99
+
+
+@pytest.mark.parametrize(("height", "view"), [(2.0, "from above"), (60.0, "from the side")])
+@pytest.mark.parametrize("up", [(0.0, 0.0, 1.0), (0.0, 1.0, 0.0)])
+def test_flat_rods_are_shown_from_above(tmp_path, monkeypatch, height, view, up):
+    shown = []
+    monkeypatch.setattr("doo_ti.report.motions.literal", lambda text: shown.append(text) or text)
+    s, shifts = np.linspace(0, np.pi, 12), np.linspace(0, 20, 5)[None, :, None]
+    across = 60 * np.sin(s) + shifts
+    curve = np.stack([100 * np.cos(s) + 0 * shifts, across, height * np.sin(3 * s) + 0 * shifts], axis=-1)
+    rods = curve if up[2] else curve[..., [0, 2, 1]]
+    save_rollout(tmp_path / "f.png", "rods", ["a"], rods, None, 10.0, np.array(up))
+    assert any(f"seen {view}" in text for text in shown)
+
+
+def test_motion_across_the_rods_is_seen():
+    """Rods along x that swing along y are seen at an angle; at rest, and if they swing along x, from the front."""
+    s, t = np.linspace(0, np.pi, 30), np.linspace(0, 6, 40)[:, None]
+    still = 0 * t * s
+    shape = np.stack([100 * s + still, still, -50 * np.sin(s) + still], axis=-1)[None]
+    swing = 60 * np.sin(t)[..., None] * np.sin(s)[None, :, None]
+    for way, turned in (((0, 1, 0), True), ((1, 0, 0), False), ((0, 0, 0), False)):
+        axes, _ = _view(shape + (swing * way)[None], np.array([0.0, 0, 1]))
+        assert (abs(axes[0, 0]) < 0.9) == turned
+        np.testing.assert_allclose(axes[1], [0, 0, 1])
+
+
+def test_arrows_of_forces_are_in_newton_where_the_weight_is_known():
+    positions = np.zeros((2, 1, 5, 3))
+    positions[..., 0] = 25.0 * np.arange(5)
+    force = np.zeros_like(positions)
+    force[..., 2] = 40.0
+    around = Surroundings([Plane((0, 0, 0), (0, 0, 1))], 1.0)
+    plain, known = Touched(around, positions, force), Touched(around, positions, force, np.array([1e-3, 5e-4]))
+    assert plain.legend.endswith("mm²/mm)") and known.legend.endswith(" N)")
+    length = [np.linalg.norm(known.arrows(row, 0)[1], axis=-1) / known.arrow_scale for row in (0, 1)]
+    np.testing.assert_allclose(length, np.array([[0.04], [0.02]]) * np.ones(5))
+    shown = float(known.legend.split("10 mm: ")[1].split()[0])
+    np.testing.assert_allclose(np.linalg.norm(known.arrows(0, 0)[1], axis=-1), 10 * 0.04 / shown)
+
+
+def test_whole_arrows_are_in_pictures(tmp_path, monkeypatch):
+    """Of a rod that hangs over an edge: the limits hold the tips, a fifth of the picture above it at most."""
+    limits = []
+    monkeypatch.setattr(motions, "save_figure", lambda figure, path: limits.append(figure.axes[0].get_ylim()))
+    x = np.linspace(0, 100, 9)
+    positions = np.tile(np.stack([x, 0 * x, -0.3 * np.abs(x - 50)], axis=-1), (1, 3, 1, 1))
+    force = np.zeros_like(positions)
+    force[0, :2, 4, 2], force[0, 2, 4, 2] = 1.0, 30.0
+    touched = Touched(Surroundings([Plane((0, 0, 0), (0, 0, 1))], 1.0), positions, force)
+    tip = np.linalg.norm(touched.arrows(0, 2)[1], axis=-1).max()
+    assert 8 <= tip <= 20
+    moving = MovingRods(np.arange(3.0), positions.swapaxes(0, 1), ["a"], np.zeros((3, 1), int), np.ones((3, 1), bool),
+                        np.array([0.0, 0, 1]), touched=touched)
+    motions_picture(tmp_path / "f.png", moving, title="flat")
+    save_rollout(tmp_path / "g.png", "flat", ["a"], positions, None, 10.0, np.array([0.0, 0, 1]), touched=touched)
+    assert min(high for _, high in limits) >= tip, (limits, tip)

@@ -67,7 +67,6 @@ def test_kernels_are_not_taken_from_a_folder_that_is_another_ones(tmp_path):
 
 @pytest.fixture(scope="module")
 def kept(tmp_path_factory) -> dict[str, bytes]:
-    """The files of a folder of kernels."""
     folder = tmp_path_factory.mktemp("kept")
     run_kernel(folder, XDG_CACHE_HOME=folder)
     return {path.name: path.read_bytes() for path in (folder / "taichi" / "ticache").iterdir()}

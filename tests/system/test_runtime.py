@@ -1,6 +1,4 @@
-"""How Taichi is started, by which threads and processes; its kernels, one launch at a time, and their source;
-programs that use Taichi themselves, before and after our
-kernels, and processes forked from them."""
+"""How Taichi is started, by which threads and processes; its kernels; programs that use Taichi themselves, or fork."""
 
 import inspect
 import json
@@ -114,8 +112,7 @@ def test_a_kernel_that_is_compiled_briefly_changes_no_setting():
     import taichi as ti
 
     runtime.start()
-    settings = ti.lang.impl.current_cfg()
-    seen = []
+    settings, seen = ti.lang.impl.current_cfg(), []
 
     @runtime.compiled_briefly
     def kernel(number: int) -> None:

@@ -27,7 +27,6 @@ class Terminal(io.StringIO):
 
 
 def wide_terminal(monkeypatch) -> Terminal:
-    """In place of standard error."""
     monkeypatch.setenv("TERM", "xterm")
     monkeypatch.setenv("COLUMNS", "200")
     monkeypatch.setattr(sys, "stderr", terminal := Terminal())
@@ -104,7 +103,6 @@ def test_printouts_and_messages(tmp_path, capsys, code):
 
 @pytest.mark.thorough
 def test_a_name_of_several_lines_takes_one(tmp_path, capsys):
-    """Lest it forges lines of the printout."""
     assert in_line("a\nb\x1b") == r"a\nb\x1b"
     (tmp_path / "a\nb").mkdir()
     npz_bytes(tmp_path / "a\nb")

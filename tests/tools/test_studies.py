@@ -81,7 +81,6 @@ def test_a_folder_of_pickles_becomes_one_array(tmp_path, monkeypatch, protocol):
     "planner_study same --goals 1",
     "servo_study own --tasks 2 --steps 2", "servo_study own --cameras --tasks 1 --steps 1"])
 def test_studies_run(words, monkeypatch):
-    """As others change what they call."""
     name, *options = words.split()
     monkeypatch.setattr(sys, "argv", [name, *options])
     assert import_module(f"tools.studies.{name}").main() in (None, 0, 1)
@@ -90,5 +89,4 @@ def test_studies_run(words, monkeypatch):
 def test_cables_for_pictures_hang(rng):
     from tools.studies.picture_study import LENGTH, pose
 
-    cable = pose(rng, -30.0, 0.7)
-    assert np.linalg.norm(np.diff(cable, axis=0), axis=-1).sum() == pytest.approx(LENGTH, rel=1e-6)
+    assert np.linalg.norm(np.diff(pose(rng, -30.0, 0.7), axis=0), axis=-1).sum() == pytest.approx(LENGTH, rel=1e-6)

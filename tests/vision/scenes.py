@@ -46,8 +46,6 @@ def against(found: Detection, line: np.ndarray) -> tuple[np.ndarray, float, floa
     return error[beside], float((distance.min(axis=0) < 1).mean()), float(1 - real.mean())
 
 
-# --- distance maps of known curves, drawn by brute force ------------------------------------------------------------------
-
 def three_cameras(distance: float = 260.0, size: float = 1.0, middle=(0.0, 0.0, 0.0)) -> Rig:
     """Cameras that far from ``middle``, mm, some 100° apart, all distorted; ``size`` times 640 × 480 px."""
     cameras = []
@@ -85,18 +83,14 @@ def drawn_maps(rig: Rig, rods: np.ndarray, margin: int = 25) -> DistanceMaps:
 
 
 def drawn_scene(seed: int, count: int, edges: int) -> tuple[Rig, np.ndarray, DistanceMaps]:
-    """Three cameras, rods (A, V, 3) mm, and their maps."""
     rods = curves(np.random.default_rng(seed), count, edges)
     return three_cameras(), rods, drawn_maps(three_cameras(), rods)
 
 
 def map_of(maps: DistanceMaps, row: int, camera: int) -> Map:
-    """One map, for the oracle."""
     offset, left, top, width, height = (int(number) for number in maps.window[row, camera])
     return Map(maps.values[offset : offset + width * height].reshape(height, width), left, top)
 
-
-# --- poses of cameras -----------------------------------------------------------------------------------------------------
 
 def looking(forward: np.ndarray, distance: float, middle=(0.0, 0.0, 0.0)) -> tuple[np.ndarray, np.ndarray]:
     """(R, t) of an upright camera that looks along the unit vector ``forward`` at ``middle``, mm, from ``distance`` mm away."""

@@ -1,14 +1,16 @@
-"""The thread's centre line in rendered images and in images made by another renderer."""
+"""The thread's centre line in rendered images; rendered images against the projection they were made with."""
 
 import cv2
 import numpy as np
 import pytest
+from scipy.interpolate import CubicSpline
+from scipy.ndimage import map_coordinates
 
 from doo_ti import DetectionOptions, detect, load_rig
 from doo_ti.rod.frames import arc_lengths
 from doo_ti.vision.images import read_image
 from doo_ti.vision.render import RenderOptions, render_set
-from doo_ti.vision.tubes import smooth_curve
+from doo_ti.vision.tubes import Tube, draw, smooth_curve
 from tests.conftest import check_refused
 from tests.vision.scenes import against, bow, normals, small_rig
 
@@ -39,8 +41,7 @@ def test_directions_are_tangents_and_points_are_dense():
     found = errors(PLAIN, 1.3)[-1]
     line = small_rig().cameras[-1].project(smooth_curve(bow(), 200))
     nearest = np.linalg.norm(found.points[:, None] - line, axis=-1).argmin(axis=1)
-    across = (normals(line)[nearest] * found.direction).sum(axis=1)
-    assert np.median(np.abs(across)) < np.sqrt(1 - 0.999**2)
+    assert np.median(np.abs((normals(line)[nearest] * found.direction).sum(axis=1))) < np.sqrt(1 - 0.999**2)
     assert np.diff(np.sort(arc_lengths(line)[nearest])).max() < 1.15
 
 
@@ -53,7 +54,6 @@ def test_a_thread_lit_from_the_side_is_found_between_its_edges():
 
 @pytest.mark.parametrize("way", [1, -1])
 def test_a_colour_selects_a_thread_lit_from_the_side_and_its_edges_say_where_it_is(way):
-    """Only its lit side has the colour."""
     row, column = np.mgrid[:200, :300]
     off = row - (100 + 30 * np.sin(column / 60))
     around = np.clip(off / 6, -1, 1)
@@ -73,8 +73,7 @@ def test_the_papers_way_is_as_exact_as_pixels():
 
 
 def test_gaps_stay_gaps():
-    options = RenderOptions(occluders=2, shading=0)
-    error, complete, false, _ = errors(options, 1.3)
+    error, complete, false, _ = errors(RenderOptions(occluders=2, shading=0), 1.3)
     assert 0.5 < complete < 0.97 and false < 0.02 and np.median(np.abs(error)) < 0.1
 
 
@@ -115,3 +114,71 @@ def test_images_in_files(laboratory):
 def test_bad_options_are_refused(change):
     check_refused(next(iter(change)), DetectionOptions, **change)
     check_refused("image", detect, np.zeros((10, 10, 3)))
+
+
+EXACT = RenderOptions(noise=0, jpeg_quality=None, unevenness=0, shading=0)
+UP = np.array([0.0, 0, 1])
+
+
+def test_the_curve_is_scipys_spline():
+    vertices = bow(9) + np.random.default_rng(2).normal(size=(9, 3))
+    chord = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(vertices, axis=0), axis=1))])
+    place = np.append((chord[:-1, None] + np.diff(chord)[:, None] * np.arange(5) / 5).ravel(), chord[-1])
+    found = smooth_curve(np.stack([vertices, 2 * vertices]), 5)[0]
+    np.testing.assert_allclose(found, CubicSpline(chord, vertices)(place), atol=1e-10)
+    np.testing.assert_allclose(smooth_curve(vertices[:2], 4), np.linspace(*vertices[:2], 5), atol=1e-12)
+
+
+@pytest.mark.parametrize("diameter", [0.6, 1.3, 5.0])
+def test_a_line_lies_and_is_as_wide_as_the_projection_says(diameter):
+    """Its centre of mass across, before brightness is rounded, at every place along it."""
+    curve = smooth_curve(bow(), 20)
+    for camera in small_rig().cameras:
+        image = 200 - draw(camera, [Tube(curve, diameter / 2, 50.0)], np.full((360, 480), 200.0), UP, 0.0)
+        image = cv2.GaussianBlur(image, (0, 0), 1.0).astype(np.float64)
+        line, across = camera.project(curve)[20:-20:3], np.arange(-15, 15.01, 0.25)
+        at = line[:, None] + across[:, None] * normals(camera.project(curve))[20:-20:3, None]
+        spline = map_coordinates(image, [at[..., 1], at[..., 0]], order=3)  # without OpenCV's rounding of places
+        mass = spline.sum(axis=1)
+        centre = (spline * across).sum(axis=1) / mass
+        assert np.abs(centre).max() < 0.02 and abs(centre.mean()) < 5e-3
+        wanted = diameter * camera.matrix[0, 0] / camera.depth(curve)[20:-20:3]
+        np.testing.assert_allclose(mass * 0.25 / 150, wanted, rtol=0.02)
+
+
+def test_the_nearer_strand_covers_the_farther():
+    camera = small_rig(1).cameras[0]
+    toward = camera.rotation[2]
+    run, other = camera.rotation[0], camera.rotation[1]
+    step = np.linspace(-20, 20, 41)[:, None]
+    near, far = step * run - 5 * toward, step * other + 5 * toward
+    pixel = tuple(np.rint(camera.project(np.zeros(3))).astype(int)[::-1])
+    for tubes in ([Tube(near, 2.0, 10.0), Tube(far, 2.0, 90.0)], [Tube(far, 2.0, 90.0), Tube(near, 2.0, 10.0)]):
+        assert draw(camera, tubes, np.full((360, 480), 200.0), UP, 0.0)[pixel] == pytest.approx(10.0)
+    loop = np.concatenate([near, [(near[-1] + far[-1]) / 2 + 30 * run + 30 * other], far[::-1]])
+    one = draw(camera, [Tube(loop, 2.0, np.linspace(10, 90, len(loop)))], np.full((360, 480), 200.0), UP, 0.0)
+    assert one[pixel] < 40
+
+
+def test_the_lit_side_is_brighter():
+    camera = small_rig(1).cameras[0]
+    curve = np.linspace(-20, 20, 41)[:, None] * camera.rotation[0]
+    image = draw(camera, [Tube(curve, 4.0, 50.0)], np.full((360, 480), 50.0), -camera.rotation[1], 100.0)
+    column, row = camera.project(np.zeros(3))
+    above, below = image[: int(row), int(column)], image[int(row) + 1 :, int(column)]
+    assert above.max() > 120 and below.max() < 60
+
+
+def test_the_same_seed_gives_the_same_images():
+    options = RenderOptions(occluders=2, clutter=3)
+    first, again, other = (render_set(small_rig(), bow(), 1.3, options, (4, index)) for index in (0, 0, 1))
+    np.testing.assert_array_equal(first, again)
+    assert np.shape(first) == (2, 360, 480) and first[0].dtype == np.uint8
+    assert (np.array(first) != np.array(other)).any()
+
+
+def test_what_cannot_be_drawn_is_refused():
+    for change in ({"blur_px": -1}, {"jpeg_quality": 0}, {"light": (0, 0, 0)}, {"occluded_share": 2}, {"occluders": 10**6}):
+        check_refused(": ", RenderOptions, **change)
+    for rod, diameter in ((bow()[:1], 1), (bow() * np.nan, 1), (bow()[[0, 0, 1]], 1), (bow(), 0), (bow(), 1e300)):
+        check_refused(": ", render_set, small_rig(), rod, diameter)

@@ -52,8 +52,7 @@ def test_maps_are_the_distance_to_the_nearest_piece():
 
 def test_the_valley_does_not_ripple_along_the_line():
     radius = 60.0
-    found = circle(radius)
-    maps = distance_maps([[found]], 40)
+    maps = distance_maps([[circle(radius)]], 40)
     _, left, top, width, height = maps.window[0, 0]
     x, y = np.meshgrid(np.arange(left, left + width), np.arange(top, top + height))
     exact = np.abs(np.hypot(x - 200.3, y - 170.6) - radius)
@@ -112,8 +111,7 @@ def test_no_place_reads_outside_its_map(number, rng):
     sizes = [(3, 3), (9, 4), (6, 17)]
     offsets = np.cumsum([0] + [width * height for width, height in sizes])
     windows = np.array([[[offset, -5, 700, *size]] for offset, size in zip(offsets, sizes)], dtype=float)
-    values = rng.uniform(0, 20, offsets[-1])
-    far = [1e6, -1e6, np.inf, -np.inf, np.nan]
+    values, far = rng.uniform(0, 20, offsets[-1]), [1e6, -1e6, np.inf, -np.inf, np.nan]
     rows = np.array([[1, u, v] for u in far for v in far])
     first = sampling_kernel(number)(rows, windows, values)
     other, kept = np.full_like(values, 77.0), slice(int(windows[1, 0, 0]), int(windows[2, 0, 0]))

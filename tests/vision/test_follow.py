@@ -1,5 +1,4 @@
-"""The thread under a pixel, by colour and in masks; with glints, and needles that are wider than their threads: in pictures
-drawn by OpenCV, and in photographs that others took."""
+"""The thread under a pixel, by colour and in masks, with glints and needles: drawn by OpenCV, and in photographs of others."""
 
 from pathlib import Path
 
@@ -22,7 +21,6 @@ PAPER = (205, 215, 220)
 
 
 def wave(phase: float = 0.0, scale: float = 1.0) -> np.ndarray:
-    """(N, 2) px: a curve through the picture."""
     t = np.linspace(0, 1, 2000)[:, None]
     return scale * np.hstack([60 + 480 * t, 200 + 90 * np.sin(5 * t + phase)])
 
@@ -41,7 +39,6 @@ def drawn(*strokes, size=SIZE, seed=0, ground=PAPER) -> np.ndarray:
 
 
 def shares(points: np.ndarray, true: np.ndarray, near: float = 3.0) -> tuple[float, float]:
-    """Recall and precision."""
     if not len(points):
         return 0.0, 0.0
     return tuple(float((cKDTree(a).query(b)[0] <= near).mean()) for a, b in ((points, true), (true, points)))
@@ -89,8 +86,7 @@ def test_threads_of_any_width(width):
 
 def test_a_region_and_a_colour():
     image, curve = drawn((wave(), RED, 6), (wave(2.2), GREEN, 12)), wave()
-    found = detect(image, DetectionOptions(colour=RED[::-1]))
-    assert shares(found.points, curve)[1] > 0.97
+    assert shares(detect(image, DetectionOptions(colour=RED[::-1])).points, curve)[1] > 0.97
     region = 100, 20, 300, 350
     for part in (detect(image, DetectionOptions(colour=RED[::-1], region=region)),
                  follow(image, tuple(curve[600]), DetectionOptions(region=region))):
@@ -134,8 +130,7 @@ def test_labels_are_a_mask_and_nothing_is_none():
     labels = np.zeros(SIZE, np.uint8)
     for label, phase in enumerate((0, 2.2), 1):
         cv2.polylines(labels, [np.rint(16 * wave(phase)).astype(int)], False, label, 7, cv2.LINE_8, 4)
-    found = detect_mask(labels)
-    assert min(shares(found.points, np.concatenate([wave(), wave(2.2)]))) > 0.97
+    assert min(shares(detect_mask(labels).points, np.concatenate([wave(), wave(2.2)]))) > 0.97
     assert detect_mask(np.zeros(SIZE, np.uint8)).count == 0 and detect_mask(np.ones(SIZE, bool)).count < 2000
     assert follow(np.full((*SIZE, 3), 90, np.uint8), (200, 200)).count == 0
 
@@ -150,8 +145,6 @@ def test_labels_are_a_mask_and_nothing_is_none():
 def test_bad_input_is_refused(call, word):
     check_refused(word, call, drawn((wave(), RED, 6)))
 
-
-# --- photographs -----------------------------------------------------------------------------------------------------
 
 def cables(folder, kind: str):
     """(picture, mask, (N, 2) px of its middle, a pixel of it that no other cable hides) of each cable."""
@@ -169,14 +162,10 @@ def cables(folder, kind: str):
 @pytest.mark.parametrize("kind, recall, precision", [("simple", 0.8, 0.8), ("hard", 0.7, 0.8)])
 def test_cables_in_photographs(shared_data, kind, recall, precision):
     """Masks of this set are strokes along splines, up to a few px beside the cables."""
-    folder = shared_data / "photographs"
     found = np.array([[shares(detect_mask(mask).points, middle), shares(follow(image, click).points, middle)]
-                      for image, mask, middle, click in cables(folder, kind)]).mean(axis=0)
-    assert found[0].min() > 0.97
-    assert found[1, 0] > recall and found[1, 1] > precision
+                      for image, mask, middle, click in cables(shared_data / "photographs", kind)]).mean(axis=0)
+    assert found[0].min() > 0.97 and found[1, 0] > recall and found[1, 1] > precision
 
-
-# --- threads with glints, and needles that are wider than their threads; strands beside each other ------------------------
 
 SCENES = Path(__file__).resolve().parents[2] / "scenes"
 DARK, WHITE = (50, 40, 60), (205, 215, 220)
@@ -208,8 +197,7 @@ def test_a_wide_thread_is_found_as_exactly_as_a_narrow_one(width):
 
 def test_a_needle_is_wider_than_its_thread():
     curve = wave()
-    image = grey((curve[:1700], DARK, 4), (curve[1700:], DARK, 10))
-    recall, precision = shares(detect(image).points, curve, 3.0)
+    recall, precision = shares(detect(grey((curve[:1700], DARK, 4), (curve[1700:], DARK, 10))).points, curve, 3.0)
     assert recall > 0.97 and precision > 0.98
 
 
@@ -217,14 +205,12 @@ def test_a_needle_is_wider_than_its_thread():
 def test_what_crosses_or_lies_alone_is_not_the_thread():
     """A wider line that begins at no end of the thread."""
     curve, other = wave(), np.stack([np.linspace(300, 330, 200), np.linspace(20, 380, 200)], axis=1)
-    found = detect(grey((other, DARK, 13), (curve, DARK, 4)))
-    assert (cKDTree(curve).query(found.points)[0] <= 4.0).mean() > 0.97
+    assert (cKDTree(curve).query(detect(grey((other, DARK, 13), (curve, DARK, 4))).points)[0] <= 4.0).mean() > 0.97
 
 
 @pytest.mark.thorough
 @pytest.mark.parametrize("apart", [4.0, 6.0])
 def test_strands_side_by_side_are_two_lines(apart):
-    """Where they touch, nothing is put between them."""
     curve = wave()
     aside = apart / 2 + 4.0 * np.abs(np.linspace(-1, 1, len(curve)))[:, None]
     pair = [beside(curve, sign * aside) for sign in (-1, 1)]

@@ -31,7 +31,6 @@ def camera(turned: bool = False) -> Camera:
 
 
 def tagged(path, image: np.ndarray, tag: int) -> None:
-    """A JPEG file with an orientation tag."""
     content = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, 100])[1].tobytes()
     exif = b"Exif\0\0" + b"II*\0" + struct.pack("<IHHHIHHI", 8, 1, 274, 3, 1, tag, 0, 0)
     path.write_bytes(content[:2] + b"\xff\xe1" + struct.pack(">H", len(exif) + 2) + exif + content[2:])
@@ -59,8 +58,7 @@ def test_tags_are_ignored_unless_the_rig_says_otherwise(tmp_path, tag):
     tagged(tmp_path / "image.jpg", picture(), tag)
     assert np.abs(read_image(tmp_path / "image.jpg", camera()).astype(int) - picture()).max() < 12
     assert orientation_tags([tmp_path / "image.jpg"]) == (tag > 1)
-    turned = read_image(tmp_path / "image.jpg", turned=True)
-    assert turned.shape == ((80, 60) if tag > 4 else (60, 80))
+    assert read_image(tmp_path / "image.jpg", turned=True).shape == ((80, 60) if tag > 4 else (60, 80))
     if tag > 4:
         check_refused("size", read_image, tmp_path / "image.jpg", camera(turned=True))
     if tag in (2, 3):
@@ -138,7 +136,6 @@ def test_a_clicked_thread_is_sought_by_what_shows_it_best(tmp_path, gripper):
 
 
 def test_a_thread_is_dark_or_light_in_all_images_of_a_set(tmp_path):
-    """In the second image something light is more distinct."""
     paths = []
     for number, level in enumerate((150, 255)):
         (tmp_path / str(number)).mkdir()
@@ -181,8 +178,6 @@ def test_libraries_say_nothing_of_damaged_images(tmp_path, capfd):
     os.write(2, b"heard")
     assert capfd.readouterr().err == "heard" and read_well["a.png"] and not read_well["cut.png"]
 
-
-# --- sets --------------------------------------------------------------------------------------------------------------------
 
 HEADER = "name,cam0,cam2,seed_x,seed_y,seed_z,dir_x,dir_y,dir_z\n"
 LINE = "a,a0.png,a2.png,1,2,3,0,3,4\n"

@@ -17,7 +17,6 @@ MATERIAL = Material(ALPHA, ALPHA)
 
 @pytest.fixture(scope="module")
 def scene():
-    """(rig, five rods, their maps)."""
     return drawn_scene(8, 5, EDGES)
 
 
@@ -33,7 +32,6 @@ def starts(rng, rods, count: int, turn: float, edges: int = EDGES):
 
 
 def relaxed(scene, sets: np.ndarray, start: Configuration, nu: float = NU, kind=Clamp.TANGENT, solver=Newton(), **options):
-    """Rods with the images of their sets."""
     images = Reprojection(scene[2], scene[0], nu)
     return relax(start, MATERIAL, end_clamps(start, kind), solver, external=images, external_index=sets, **options)
 

@@ -20,7 +20,6 @@ SYMMETRIC = [[0, 1, 2], [1, 3, 4], [2, 4, 5]]
 
 @pytest.fixture(scope="module")
 def scene():
-    """(rig, four rods, their maps)."""
     return drawn_scene(4, 4, 12)
 
 
@@ -100,8 +99,7 @@ def test_an_edge_that_a_camera_does_not_see_costs_but_does_not_pull(number, scen
     begin = camera.centre + np.array([(0, 0, -20), (100, 0, 5), (0, 0, 1e-3)]) @ camera.rotation
     edges = np.column_stack([np.zeros(3), begin, begin + np.array([1e-4, 2e-4, 0]) @ camera.rotation])
     found = evaluated(number, (Rig((camera,)), rods, DistanceMaps(maps.values, maps.window[:, :1])), edges)
-    assert found[0] == pytest.approx(NU * UNSEEN, rel=1e-6)
-    assert not found[1].any() and not found[2].any()
+    assert found[0] == pytest.approx(NU * UNSEEN, rel=1e-6) and not found[1].any() and not found[2].any()
 
 
 def hypotheses(rng, rods, count):
@@ -169,8 +167,6 @@ def test_maps_that_do_not_fit_are_refused(scene):
         check_refused(word, Reprojection, DistanceMaps(values, window), Rig(cameras), 1.0)
 
 
-# --- E_back ---------------------------------------------------------------------------------------------------------------
-
 ROWS, EDGES, PLACES, NU_BACK = 6, 4, 3, 2.5
 
 
@@ -181,8 +177,7 @@ def assigned() -> AssignedPoints:
     shape = (ROWS, 3, EDGES, PLACES)
     middle = np.array([camera.project(np.zeros((1, 3)))[0] for camera in rig.cameras])
     points = middle[None, :, None, None] + rng.normal(0, 6.0, (*shape, 2))
-    angle = rng.uniform(0, np.pi, shape)
-    weight = rng.uniform(0.5, 2.0, shape)
+    angle, weight = rng.uniform(0, np.pi, shape), rng.uniform(0.5, 2.0, shape)
     weight[1, 0, 2] = 0.0
     return AssignedPoints(rig, points, np.stack([np.cos(angle), np.sin(angle)], axis=-1), weight, NU_BACK, 0.1, 3.0)
 
@@ -250,8 +245,7 @@ def test_curvature_of_e_back_is_that_of_finite_differences(assigned, rng):
 def test_coarse_curvature_of_e_back_is_positive_semidefinite(assigned, rng):
     found = on_device(Number(1, 64), assigned, edges(rng), coarse=1.0)
     k, ks, kss = found[:, 7:13], found[:, 13:22].reshape(-1, 3, 3), found[:, 22:28]
-    whole = np.block([[k[:, SYMMETRIC], ks], [np.swapaxes(ks, 1, 2), kss[:, SYMMETRIC]]])
-    values = np.linalg.eigvalsh(whole)
+    values = np.linalg.eigvalsh(np.block([[k[:, SYMMETRIC], ks], [np.swapaxes(ks, 1, 2), kss[:, SYMMETRIC]]]))
     assert (values[:, 0] > -1e-9 * values[:, -1]).all()
 
 

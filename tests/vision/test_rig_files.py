@@ -62,8 +62,6 @@ def test_cameras_by_name():
     check_refused("no camera", around().only, ["cam7"])
 
 
-# --- rigs in the files of others ------------------------------------------------------------------------------------------
-
 MATRIX = np.array([[610.0, 0, 633], [0, 612, 471], [0, 0, 1]])
 SIZE = 1280, 960
 TURN, SHIFT = cv2.Rodrigues(np.array([0.05, -0.3, 0.02]))[0], np.array([-60.0, 3, 5])
@@ -102,8 +100,7 @@ def test_opencv_s_stereo_files(tmp_path, names, coefficients):
 def test_the_size_may_be_given_and_extrinsics_lie_beside(tmp_path):
     stereo(tmp_path / "whole.yml", size=False)
     check_refused("--image-size", load_rig, tmp_path / "whole.yml")
-    text = (tmp_path / "whole.yml").read_text()
-    head, body = text.split("---\n")
+    head, body = (tmp_path / "whole.yml").read_text().split("---\n")
     at = body.index("R: ")
     (tmp_path / "intrinsics.yml").write_text(f"{head}---\n{body[:at]}")
     (tmp_path / "extrinsics.yml").write_text(f"{head}---\n{body[at:]}")
@@ -203,8 +200,6 @@ def test_damaged_stereo_files_are_refused_in_one_line(tmp_path, spoil):
     (tmp_path / "stereo.yml").write_text(spoil((tmp_path / "stereo.yml").read_text()))
     check_refused(": ", load_rig, tmp_path / "stereo.yml")
 
-
-# --- what files leave open ------------------------------------------------------------------------------------------
 
 FLIP = np.diag([1.0, -1, -1])
 MEANT = {

@@ -32,9 +32,6 @@ def off(found: Points, points: np.ndarray, which=slice(None)) -> np.ndarray:
     return np.einsum("pi,pij,pj->p", error, np.linalg.inv(found.covariance[which]), error)
 
 
-# ---- points
-
-
 def test_it_is_the_least_squares_point(rng):
     rig, _, pixels = seen(rng, 5)
     found = triangulate(rig, pixels, SURE)
@@ -50,15 +47,12 @@ def test_it_is_the_least_squares_point(rng):
 def test_a_point_does_not_depend_on_the_others(rng):
     rig, _, pixels = seen(rng, 50)
     pixels[1, 7] += [25, -10]
-    together = triangulate(rig, pixels, SURE)
-    order = rng.permutation(50)
+    together, order = triangulate(rig, pixels, SURE), rng.permutation(50)
     shuffled = triangulate(rig, pixels[:, order], SURE)
     np.testing.assert_allclose(shuffled.position, together.position[order], atol=1e-9)
     np.testing.assert_array_equal(shuffled.status, together.status[order])
     np.testing.assert_allclose(triangulate(rig, pixels[:, 7:8], SURE).position[0], together.position[7], atol=1e-9)
 
-
-# ---- errors
 
 @pytest.mark.sampled(1)
 @pytest.mark.parametrize("cameras", [3, 4])
@@ -75,8 +69,7 @@ def test_outliers_are_found_and_left_out(rng, cameras):
     assert (status[~named] == MarkStatus.CONTRADICTORY).all()  # along the other cameras' epipolar lines: undecidable
     assert not found.used[camera[named], wrong[named]].any()
     assert (found.used[:, wrong[named]].sum(axis=0) == cameras - 1).all()
-    assert off(found, points, wrong[named]).max() < 25
-    assert (found.residual[camera[named], wrong[named]] > 4).all()
+    assert off(found, points, wrong[named]).max() < 25 and (found.residual[camera[named], wrong[named]] > 4).all()
     assert np.isnan(found.position[wrong[~named]]).all() and np.isnan(found.covariance[wrong[~named]]).all()
 
 
@@ -95,12 +88,10 @@ def test_few_views_and_parallel_rays(rng):
 
 
 def test_a_point_behind_the_cameras_is_none():
-    """Rays that diverge meet behind both."""
     matrix = [[500.0, 0, 320], [0, 500.0, 240], [0, 0, 1]]
     rig = Rig(tuple(Camera(name, 640, 480, matrix, np.zeros(5), np.eye(3), [x, 0, 0])
                     for name, x in (("left", 20.0), ("right", -20.0))))
-    found = triangulate(rig, np.array([[[200.0, 240]], [[440.0, 240]]]), SURE)
-    assert found.status.tolist() == [MarkStatus.DEGENERATE]
+    assert triangulate(rig, np.array([[[200.0, 240]], [[440.0, 240]]]), SURE).status.tolist() == [MarkStatus.DEGENERATE]
 
 
 def test_wrong_arguments():
@@ -109,8 +100,6 @@ def test_wrong_arguments():
     for wrong in ({"sigma_px": 0.0}, {"threshold": -1.0}, {"sigma_px": np.nan}):
         check_refused(": ", TriangulationOptions, **wrong)
 
-
-# ---- ribbons
 
 WIDTH = 6.7
 
@@ -180,8 +169,6 @@ def test_an_observation_without_two_vertices_is_named(rng):
     check_refused("pose 2", observed, around(), marks)
 
 
-# ---- files
-
 HEADER = "observation,camera,mark,u_px,v_px\n"
 
 
@@ -192,8 +179,7 @@ def written(folder, rows, header: str = HEADER):
 
 
 def test_marks_come_back_in_their_order(tmp_path, rng):
-    rig = around()
-    pixels = rng.uniform(0, 400, (3, 2, 4, 1, 2))
+    rig, pixels = around(), rng.uniform(0, 400, (3, 2, 4, 1, 2))
     pixels[1, 1, 2] = np.nan
     rows = [(f"take {'ba'[d]}", rig.names[c], v, *pixels[c, d, v, 0].tolist())
             for d in range(2) for c in range(3) for v in range(4) if np.isfinite(pixels[c, d, v, 0, 0])]
