@@ -1,24 +1,23 @@
 """Rendered images against the projection they were made with."""
 
-
 import cv2
 import numpy as np
 import pytest
 from scipy.interpolate import CubicSpline
 from scipy.ndimage import map_coordinates
 
+from doo_ti.rod.frames import arc_lengths
 from doo_ti.vision.render import RenderOptions, render_set
 from doo_ti.vision.tubes import Tube, draw, smooth_curve
 from tests.conftest import check_refused
 from tests.vision.scenes import bow, normals, small_rig
 
-EXACT = RenderOptions(noise=0, jpeg_quality=None, unevenness=0, shading=0)
-UP = np.array([0.0, 0, 1])
+UP, BLANK = np.array([0.0, 0, 1]), np.full((360, 480), 200.0)
 
 
 def test_the_curve_is_scipys_spline():
     vertices = bow(9) + np.random.default_rng(2).normal(size=(9, 3))
-    chord = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(vertices, axis=0), axis=1))])
+    chord = arc_lengths(vertices)
     place = np.append((chord[:-1, None] + np.diff(chord)[:, None] * np.arange(5) / 5).ravel(), chord[-1])
     found = smooth_curve(np.stack([vertices, 2 * vertices]), 5)[0]
     np.testing.assert_allclose(found, CubicSpline(chord, vertices)(place), atol=1e-10)
@@ -30,7 +29,7 @@ def test_a_line_lies_and_is_as_wide_as_the_projection_says(diameter):
     """Its centre of mass across, before brightness is rounded, at every place along it."""
     curve = smooth_curve(bow(), 20)
     for camera in small_rig().cameras:
-        image = 200 - draw(camera, [Tube(curve, diameter / 2, 50.0)], np.full((360, 480), 200.0), UP, 0.0)
+        image = 200 - draw(camera, [Tube(curve, diameter / 2, 50.0)], BLANK, UP, 0.0)
         image = cv2.GaussianBlur(image, (0, 0), 1.0).astype(np.float64)
         line = camera.project(curve)[20:-20:3]
         across = np.arange(-15, 15.01, 0.25)
@@ -45,17 +44,14 @@ def test_a_line_lies_and_is_as_wide_as_the_projection_says(diameter):
 
 def test_the_nearer_strand_covers_the_farther():
     camera = small_rig(1).cameras[0]
-    toward = camera.rotation[2]
-    run, other = camera.rotation[0], camera.rotation[1]
-    step = np.linspace(-20, 20, 41)[:, None]
+    (run, other, toward), step = camera.rotation, np.linspace(-20, 20, 41)[:, None]
     near, far = step * run - 5 * toward, step * other + 5 * toward
     pixel = tuple(np.rint(camera.project(np.zeros(3))).astype(int)[::-1])
-    for tubes in ([Tube(near, 2.0, 10.0), Tube(far, 2.0, 90.0)], [Tube(far, 2.0, 90.0), Tube(near, 2.0, 10.0)]):
-        image = draw(camera, tubes, np.full((360, 480), 200.0), UP, 0.0)
-        assert image[pixel] == pytest.approx(10.0)
+    tubes = [Tube(near, 2.0, 10.0), Tube(far, 2.0, 90.0)]
+    for order in (tubes, tubes[::-1]):
+        assert draw(camera, order, BLANK, UP, 0.0)[pixel] == pytest.approx(10.0)
     loop = np.concatenate([near, [(near[-1] + far[-1]) / 2 + 30 * run + 30 * other], far[::-1]])
-    one = draw(camera, [Tube(loop, 2.0, np.linspace(10, 90, len(loop)))], np.full((360, 480), 200.0), UP, 0.0)
-    assert one[pixel] < 40
+    assert draw(camera, [Tube(loop, 2.0, np.linspace(10, 90, len(loop)))], BLANK, UP, 0.0)[pixel] < 40
 
 
 def test_the_lit_side_is_brighter():
