@@ -44,11 +44,7 @@ def test_damped_steps_are_the_best_of_their_length_and_within_their_limit(count,
         np.testing.assert_allclose(multipliers @ parts, left, atol=1e-4 * np.linalg.norm(gradient[row]))
         assert (multipliers > -1e-4).all()
     np.testing.assert_array_equal(DampedSteps(normal[:1], gradient[:1]).below(length[:1], across[:1], room[:1]), steps[:1])
-
-
-def test_no_step_where_none_is_allowed():
-    normal, gradient, length, across, room = problems(9, 12)
+    assert DampedSteps(normal[:0], gradient[:0]).below(length[:0], across[:0], room[:0]).shape == (0, steps.shape[1])
     length[::2] = 0.0
     steps = DampedSteps(normal, gradient).below(length, across, room)
-    assert not steps[::2].any() and steps[1::2].any(axis=1).all()
-    assert DampedSteps(normal[:0], gradient[:0]).below(length[:0], across[:0], room[:0]).shape == (0, 12)
+    assert not steps[::2].any() and steps[1::2].any(axis=1).all(), "no step where none is allowed"
