@@ -7,14 +7,14 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_bvp
 
-from doo_ti import Grip, InputError, Itself, Simulation, end_loads, hanging, predict_step, relax, relax_held, straight_rod
+from doo_ti import Grip, Itself, Simulation, end_loads, hanging, predict_step, relax, relax_held, straight_rod
 from doo_ti.manipulation.model import moved
 from doo_ti.rod.types import Clamp, Clamps, Material, Status
 from tests.conftest import check_refused
+from tests.references.rods import certified
 from tools.studies.servo_tasks import tasks
 
-LENGTH, SPAN, RAISED = 400.0, 380.0, 40.0
-IN_PLANE = 1e5
+LENGTH, SPAN, RAISED, IN_PLANE = 400.0, 380.0, 40.0, 1e5
 FRAME = np.eye(3)[None]
 
 
@@ -42,10 +42,9 @@ def test_a_raised_middle_is_the_elastica_to_second_order():
     off = []
     for edges in (40, 80, 160):
         held = raised(edges)
-        assert held.solution.converged.all() and held.solution.stable.all()
-        half = held.parts[0]
-        tangents = half.configuration.frames[0, :, :, 0]
-        own = end_loads(half).end_force[0, [0, 2]] / IN_PLANE
+        certified(held.solution)
+        tangents = held.parts[0].configuration.frames[0, :, :, 0]
+        own = end_loads(held.parts[0]).end_force[0, [0, 2]] / IN_PLANE
         force = 2 * IN_PLANE * elastica(np.arctan2(tangents[:, 2], tangents[:, 0]), own)[1]
         off.append(abs(held.grip_loads().force[0, 0, 2] / force - 1))
     assert off[-1] < 1e-3 and off[0] / off[1] > 3.5 and off[1] / off[2] > 3.5
@@ -56,20 +55,17 @@ def rope():
     rod, clamps = hanging(300.0, 30, (0, 0, 0), ((180, 0, 0), (200, 30, 0), (220, 0, 40)), clamp=Clamp.FRAME)
     along = np.linspace(1.0, 2.0, rod.edges)[None, :, None, None] * 4e5 * np.eye(2)
     material = Material(along, np.linspace(3e5, 5e5, rod.edges - 1)[None], rest_curvature=(1e-3, 2e-3))
-    solution = relax(rod, material, clamps)
-    assert solution.converged.all()
-    return solution, material, clamps
+    return certified(relax(rod, material, clamps)), material, clamps
 
 
 def test_taking_hold_moves_little_and_loads_balance(rope):
     solution, material, clamps = rope
     grips = [Grip.where(solution.configuration, vertex) for vertex in (9, 20)]
-    held = relax_held(solution.configuration, material, clamps, grips)
-    assert held.solution.converged.all() and held.solution.stable.all()
-    assert np.linalg.norm(held.solution.configuration.vertices - solution.configuration.vertices, axis=2).max() < 0.05
-    np.testing.assert_allclose(held.solution.energy, solution.energy, rtol=1e-3)
+    held = certified(relax_held(solution.configuration, material, clamps, grips).solution)
+    assert np.linalg.norm(held.configuration.vertices - solution.configuration.vertices, axis=2).max() < 0.05
+    np.testing.assert_allclose(held.energy, solution.energy, rtol=1e-3)
     raised = [replace(grip, position=grip.position + [0, 0, 5.0]) for grip in grips]
-    lifted = relax_held(held.solution.configuration, material, clamps, raised)
+    lifted = relax_held(held.configuration, material, clamps, raised)
     first, last = end_loads(lifted.parts[0]), end_loads(lifted.parts[-1])
     whole = first.start_force + last.end_force + lifted.grip_loads().force.sum(axis=1)
     np.testing.assert_allclose(whole, [[0, 0, 2 * 300.0]] * 3, atol=1e-5)
@@ -81,10 +77,9 @@ def test_loads_are_the_derivatives_of_the_energy(rope):
     grip = replace(grip, position=grip.position + [3.0, -4.0, 6.0])
     held = relax_held(solution.configuration, material, clamps, [grip])
     loads, step = held.grip_loads(), 1e-3
-    for axis in range(3):
-        vector = np.eye(3)[axis]
-        shifted = [relax_held(held.solution.configuration, material, clamps, [replace(grip, position=grip.position + move)])
-                   .solution.energy for move in (step * vector, -step * vector)]
+    for axis, move in enumerate(step * np.eye(3)):
+        shifted = [relax_held(held.solution.configuration, material, clamps, [replace(grip, position=moved_to)]).solution.energy
+                   for moved_to in (grip.position + move, grip.position - move)]
         np.testing.assert_allclose((shifted[0] - shifted[1]) / (2 * step), loads.force[:, 0, axis], rtol=1e-5, atol=1e-3)
 
 
@@ -94,13 +89,12 @@ def test_grippers_take_hold_and_let_go(rope):
     at_rest = simulation.state
     grip = Grip.where(at_rest.configuration, 15)
     up = replace(grip, position=grip.position + [0, 0, 20.0])
-    lifted = simulation.step(clamps, [up])
-    assert lifted.converged.all()
+    lifted = certified(simulation.step(clamps, [up]))
     np.testing.assert_allclose(lifted.configuration.vertices[:, 15], up.position, atol=1e-6)
-    regrasped = simulation.step(clamps, [Grip.where(lifted.configuration, 8), up])
-    assert regrasped.converged.all() and simulation.held.grip_loads().force.shape == (3, 2, 3)
-    back = simulation.step(clamps)
-    assert back.converged.all()
+    other = Grip.where(lifted.configuration, 8)
+    certified(simulation.step(clamps, [other, up]))
+    assert simulation.held.grip_loads().force.shape == (3, 2, 3)
+    back = certified(simulation.step(clamps))
     np.testing.assert_allclose(back.configuration.vertices, at_rest.configuration.vertices, atol=1e-4)
 
 
@@ -119,8 +113,8 @@ def test_a_rod_has_the_status_of_its_worst_stretch(rope):
 def test_grips_that_do_not_suit_are_refused(rope, vertices, obstacles, words):
     solution, material, clamps = rope
     grips = [Grip.where(solution.configuration, vertex) for vertex in vertices]
-    with pytest.raises(InputError, match=words):
-        relax_held(solution.configuration, material, clamps, grips, obstacles=obstacles, radius=1.0 if obstacles else None)
+    check_refused(words, relax_held, solution.configuration, material, clamps, grips, obstacles=obstacles,
+                  radius=1.0 if obstacles else None)
     check_refused("between the ends", Grip.where, solution.configuration, 30)
 
 

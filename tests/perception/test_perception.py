@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from itertools import combinations
 
 import numpy as np
 import pytest
@@ -11,11 +12,14 @@ from doo_ti.perception import search
 from doo_ti.perception.growth import rank_distinct, sampled_directions, select_hypotheses, suppress_similar
 from doo_ti.perception.perceive import Perception, PerceptionVerdict, perceive
 from doo_ti.perception.posterior import bending_hessian, vertex_sigma
+from doo_ti.perception.search import PerceptionOptions
+from doo_ti.perception.tracking import TrackingOptions
 from doo_ti.rod.frames import arc_lengths, placed, unit_vectors
 from doo_ti.vision.images import load_sets, read_image
 from doo_ti.vision.tubes import smooth_curve
 from tests.conftest import check_refused
-from tests.vision.scenes import curves, drawn_maps, line_of, three_cameras
+from tests.oracle.reprojection import rod_energy
+from tests.vision.scenes import drawn_maps, drawn_scene, line_of, three_cameras
 from tools.studies.angle_study import cameras
 
 EDGES, ALPHA, SETS = 14, 2e5, 3
@@ -25,8 +29,8 @@ OPTIONS = PerceptionOptions(hypotheses=15)
 
 @pytest.fixture(scope="module")
 def scene():
-    rods = curves(np.random.default_rng(8), SETS, EDGES)
-    return three_cameras(), rods, drawn_maps(three_cameras(), smooth_curve(rods, 4))
+    """(rig, the rods' vertices, their maps)."""
+    return drawn_scene(8, SETS, EDGES, 4)
 
 
 @pytest.fixture(scope="module")
@@ -37,22 +41,22 @@ def found(scene):
 
 @pytest.fixture(scope="module")
 def loop():
-    """(rig, vertices of a rod that winds 1.6 times around and crosses itself in every image, its map, Perception)."""
+    """((rig, vertices of a rod that winds 1.6 times around and crosses itself in every image, its map), its edges' length,
+    Perception)."""
     turned = np.linspace(0, 3.2 * np.pi, 801)
     curve = np.stack([7 * np.sin(turned), 7 * (1 - np.cos(turned)), 6 / turned[-1] * turned], axis=-1)
     place = arc_lengths(curve)
-    marks = np.linspace(0, place[-1], 21)
-    rods = placed(marks, place, curve - curve.mean(axis=0))[None]
-    rig, maps = three_cameras(), drawn_maps(three_cameras(), smooth_curve(rods, 4))
-    found = perceive(maps, rig, rods[:, 0], rods[:, 1] - rods[:, 0], np.full(20, marks[1]), MATERIAL, options=OPTIONS)
-    return rig, rods, maps, found
+    rods = placed(np.linspace(0, place[-1], 21), place, curve - curve.mean(axis=0))[None]
+    scene = three_cameras(), rods, drawn_maps(three_cameras(), smooth_curve(rods, 4))
+    return scene, place[-1] / 20, recovered(scene, length=place[-1] / 20)
 
 
-def recovered(scene, rows=slice(None), **arguments) -> Perception:
+def recovered(scene, rows=slice(None), length: float = 3.0, options=OPTIONS, **arguments) -> Perception:
+    """Of edges that all have that ``length``."""
     rig, rods, maps = scene
     rods, some = rods[rows], DistanceMaps(maps.values, maps.window[rows])
-    return perceive(some, rig, rods[:, 0], 2.0 * (rods[:, 1] - rods[:, 0]), np.full(EDGES, 3.0), MATERIAL,
-                    options=arguments.pop("options", OPTIONS), **arguments)
+    return perceive(some, rig, rods[:, 0], 2.0 * (rods[:, 1] - rods[:, 0]), np.full(rods.shape[1] - 1, length), MATERIAL,
+                    options=options, **arguments)
 
 
 def test_every_step_reports_what_was_kept_and_pruned(scene, found):
@@ -76,14 +80,12 @@ def test_a_set_is_the_same_alone(scene, found):
 
 def test_runners_up_differ_and_the_gap_is_a_distance(loop):
     """Against E_vis and image lengths computed independently."""
-    rig, rods, maps, found = loop
+    (rig, rods, maps), _, found = loop
     assert np.linalg.norm(found.vertices - rods, axis=-1).mean() < 0.1
     here = np.isfinite(found.runner_up_energy[0])
     assert 1 <= here.sum() <= OPTIONS.runners_up and np.isnan(found.runner_up[0, ~here]).all()
-    differ = np.concatenate([found.vertices, found.runner_up[0, here]])
-    for first in range(len(differ)):
-        for other in differ[first + 1 :]:
-            assert np.linalg.norm(differ[first] - other, axis=-1).mean() >= OPTIONS.similar_distance
+    for one, other in combinations([*found.vertices, *found.runner_up[0, here]], 2):
+        assert np.linalg.norm(one - other, axis=-1).mean() >= OPTIONS.similar_distance
     fine = found.configuration.vertices
     again = score(fine, maps, 0, rig, OPTIONS.nu * ALPHA, MATERIAL, points=2)
     assert again.total[0] / ALPHA == pytest.approx(found.energy_vis[0], rel=1e-4)
@@ -97,10 +99,9 @@ def test_runners_up_differ_and_the_gap_is_a_distance(loop):
 def test_the_verdict_is_a_scale(found):
     several = found[0]
     gaps = replace(several, gap=np.array([np.inf, 0.05, 0.001]))
-    verdicts = gaps.verdict
     assert repr(gaps).startswith("Perception(vertices (3, 15, 3)") and "CLEAR" in repr(PerceptionVerdict.CLEAR)
     assert gaps.doubts["a rival"].tolist() == [False, True, True]
-    assert verdicts.tolist() == [PerceptionVerdict.CLEAR, PerceptionVerdict.LIKELY, PerceptionVerdict.AMBIGUOUS]
+    assert gaps.verdict.tolist() == [PerceptionVerdict.CLEAR, PerceptionVerdict.LIKELY, PerceptionVerdict.AMBIGUOUS]
     blurred = several.camera_error.copy()
     blurred[:, 1] = 1.5
     assert replace(several, gap=np.full(SETS, 9.0), camera_error=blurred).verdict.tolist() == [PerceptionVerdict.LIKELY] * SETS
@@ -116,8 +117,8 @@ def test_one_camera_makes_a_rod_ambiguous(found):
 
 def test_images_of_other_cameras_are_no_rod(scene):
     """Two cameras swapped: no rod fits them, which the verdict says."""
-    rig, rods, maps = scene
-    several = recovered((rig, rods, DistanceMaps(maps.values, np.ascontiguousarray(maps.window[:, [1, 0, 2]]))))
+    swapped = DistanceMaps(scene[2].values, np.ascontiguousarray(scene[2].window[:, [1, 0, 2]]))
+    several = recovered((*scene[:2], swapped))
     assert several.verdict.tolist() == [PerceptionVerdict.NOT_FOUND] * SETS
     unseen = replace(several, camera_error=np.full_like(several.camera_error, np.nan))
     assert unseen.verdict.tolist() == [PerceptionVerdict.NOT_FOUND] * SETS
@@ -129,8 +130,7 @@ def test_an_edge_that_no_camera_sees_is_reported(scene):
     lines = rig.project(smooth_curve(rods[0], 24))
     hidden = np.arange(lines.shape[1]) // 24
     maps = distance_maps([[line_of(line[(hidden < 6) | (hidden >= 8)]) for line in lines]])
-    found = perceive(maps, rig, rods[:1, 0], rods[:1, 1] - rods[:1, 0], np.full(EDGES, 3.0), MATERIAL,
-                     options=replace(OPTIONS, unsupported=1.5))
+    found = recovered((rig, rods[:1], maps), options=replace(OPTIONS, unsupported=1.5))
     assert np.flatnonzero(found.unsupported[0]).tolist() == [6, 7]
     assert np.linalg.norm(found.vertices[0] - rods[0], axis=-1).max() < 1.0
 
@@ -189,7 +189,7 @@ def test_a_certified_rod_ranks_before_a_better_one_that_is_none():
 
 def test_a_finalist_that_is_no_certified_minimum_does_not_win(loop, monkeypatch):
     """All but the best finalist are reported as stalled where they score better than it."""
-    rig, rods, maps, found = loop
+    scene, length, found = loop
     relaxed = search.Search.relaxed
 
     def stalling(self, hypotheses):
@@ -200,8 +200,7 @@ def test_a_finalist_that_is_no_certified_minimum_does_not_win(loop, monkeypatch)
                 replace(solution, status=np.where(stalled, Status.STALLED, solution.status)))
 
     monkeypatch.setattr(search.Search, "relaxed", stalling)
-    several = perceive(maps, rig, rods[:, 0], rods[:, 1] - rods[:, 0],
-                       found.configuration.rest_length.reshape(20, -1).sum(axis=1), MATERIAL, options=OPTIONS)
+    several = recovered(scene, length=length)
     assert several.sound.all() and several.energy_vis == found.energy_vis
     np.testing.assert_array_equal(several.vertices, found.vertices)
 
@@ -211,10 +210,8 @@ def test_bending_is_the_second_derivative_of_a_straight_rod_s_energy(rng):
     lengths, turns = rng.uniform(2, 4, 5), np.tile(np.eye(3)[:, 1:], (1, 5, 1, 1))
 
     def energy(turn: np.ndarray) -> float:
-        tangents = np.concatenate([np.ones((5, 1)), np.concatenate([[[0.0, 0.0]], turn.reshape(4, 2)])], axis=1)
-        tangents /= np.linalg.norm(tangents, axis=1, keepdims=True)
-        binormal = 2 * np.cross(tangents[:-1], tangents[1:]) / (1 + np.sum(tangents[:-1] * tangents[1:], axis=1))[:, None]
-        return np.sum(np.sum(binormal**2, axis=1) / (lengths[:-1] + lengths[1:]))
+        along = unit_vectors(np.column_stack([np.ones(5), np.pad(turn.reshape(4, 2), ((1, 0), (0, 0)))]))
+        return rod_energy(np.pad(lengths[:, None] * along, ((1, 0), (0, 0))).cumsum(axis=0), 1.0, 0.0, np.zeros(3))
 
     steps = 1e-4 * np.eye(8)
     numeric = [[(energy(a + b) - energy(a - b) - energy(b - a) + energy(-a - b)) / 4e-8 for b in steps] for a in steps]
@@ -256,14 +253,16 @@ def test_real_looking_images(laboratory, name):
     ({"material": Material([1e5, 2e5], 1e5)}, "material"), ({"up": (0, 0, 0)}, "up")])
 def test_wrong_input_is_refused(scene, change, field):
     rig, rods, maps = scene
-    arguments = {"point": rods[:, 0], "direction": rods[:, 1] - rods[:, 0], "rest_length": np.full(EDGES, 3.0),
-             "material": MATERIAL}
-    check_refused(field, perceive, maps, rig, **arguments | change)
+    given = dict(point=rods[:, 0], direction=rods[:, 1] - rods[:, 0], rest_length=np.full(EDGES, 3.0), material=MATERIAL)
+    check_refused(field, perceive, maps, rig, **given | change)
 
 
-@pytest.mark.parametrize("change", [{"nu": 0.0}, {"hypotheses": 0}, {"pieces": 0}, {"runners_up": -1}, {"sigma_px": np.nan}])
-def test_options_are_checked(change):
-    check_refused(next(iter(change)), PerceptionOptions, **change)
+@pytest.mark.parametrize("options, change", [
+    *((PerceptionOptions, change) for change in ({"nu": 0.0}, {"hypotheses": 0}, {"pieces": 0}, {"runners_up": -1},
+                                                 {"sigma_px": np.nan})),
+    (TrackingOptions, {"lost_px": 0.0}), (TrackingOptions, {"worse_px": np.nan})])
+def test_options_are_checked(options, change):
+    check_refused(next(iter(change)), options, **change)
 
 
 def test_directions_are_even_and_forward():
@@ -284,10 +283,9 @@ def test_suppression_is_greedy():
 
 
 def test_selection_is_greedy_in_every_set():
-    random, count = np.random.default_rng(5), 90
-    of_set = np.sort(random.integers(0, 4, count)) * 2  # sets without any hypothesis are allowed
-    score, tip = random.random(count), random.random((count, 3)) * 3
-    direction = unit_vectors(random.normal(size=(count, 3)))
+    random = np.random.default_rng(5)
+    of_set = np.sort(random.integers(0, 4, 90)) * 2  # sets without any hypothesis are allowed
+    score, tip, direction = random.random(90), random.random((90, 3)) * 3, unit_vectors(random.normal(size=(90, 3)))
     score[3] = np.nan
     alike = (np.linalg.norm(tip[:, None] - tip, axis=-1) < 1.0) & (direction @ direction.T > 0.5)
     wanted = [k for one in np.unique(of_set) for k in greedily(np.where(of_set == one, score, np.nan), alike, 6)]

@@ -1,7 +1,6 @@
 """Evidence from both sides: threads traced in images of cameras close together, which growth alone does not recover."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -21,7 +20,6 @@ from tests.vision.scenes import line_of
 from tools.studies.angle_study import EDGES, LENGTH_MM, apart, cameras, curve, dense, detection
 
 MATERIAL, UP = d.Material(6e5, 8e5), np.array([0.0, 0.0, 1.0])
-PAIRS = Path(__file__).resolve().parents[3] / "shared" / "data" / "suture_stereo" / "rendered"
 
 
 def views(rig: d.Rig, points: np.ndarray, noise: float, rng: np.random.Generator) -> list[d.Detection]:
@@ -43,11 +41,17 @@ def seen():
 
 def recovered(seen, length: float = LENGTH_MM, evidence: str = "both"):
     rig, curves, detections = seen
-    start = np.array([points[0] for points in curves])
-    direction = np.array([points[60] - points[0] for points in curves])
-    rest_length = np.full(EDGES, length / EDGES)
-    return d.perceive(d.distance_maps(detections), rig, start, direction, rest_length, MATERIAL, up=UP,
-                    options=d.PerceptionOptions(evidence=evidence))
+    start, further = (np.array([points[row] for points in curves]) for row in (0, 60))
+    return d.perceive(d.distance_maps(detections), rig, start, further - start, np.full(EDGES, length / EDGES), MATERIAL, up=UP,
+                      options=d.PerceptionOptions(evidence=evidence))
+
+
+def of_whole_thread(rig: d.Rig, images: list[d.Detection], points: np.ndarray):
+    """(the thread that begins at a click on the first of ``points``, the rod of its length)."""
+    start = begun(rig, images, points).point[None]
+    thread = whole_threads(rig, [images], start, None, MATERIAL, UP)
+    lengths = np.full(EDGES, thread.length[0] / EDGES)
+    return thread, d.perceive(d.distance_maps([images]), rig, start, thread.direction, lengths, MATERIAL)
 
 
 def errors(found, curves, share: float = 1.0) -> np.ndarray:
@@ -68,8 +72,7 @@ def test_cameras_close_together_see_the_whole_thread(seen):
 
 def test_where_a_thread_runs_along_its_epipolar_lines_the_rod_is_on_it():
     """There a tenth of a pixel beside the line is a millimetre of depth. Arches, level at their tops."""
-    rng, s = np.random.default_rng(3), np.linspace(-1, 1, 2001)
-    rig = cameras(40.0, third=False)
+    rng, s, rig = np.random.default_rng(3), np.linspace(-1, 1, 2001), cameras(40.0, third=False)
     arches = [np.stack([40 * s, -25 * (1 - s**2) * np.cos(turn * s), 8 * np.sin(1.5 * s + turn)], axis=1) for turn in range(4)]
     arches = [points * LENGTH_MM / curve_length(points) for points in arches]
     found = recovered((rig, arches, [views(rig, points, 0.05, rng) for points in arches]))
@@ -88,20 +91,19 @@ def test_lines_at_places_of_a_bend_are_on_it():
 
 def test_depth_stays_in_bounds_where_images_say_nothing_of_it():
     """Where both images are the same, without disparity, the curve would be infinitely far away."""
-    rig = cameras(10.0, third=False)
-    same = d.Rig((rig.cameras[0], replace(rig.cameras[0], name="beside", translation=rig.cameras[0].translation + [6.0, 0, 0])))
+    camera = cameras(10.0, third=False).cameras[0]
+    same = d.Rig((camera, replace(camera, name="beside", translation=camera.translation + [6.0, 0, 0])))
     place = np.arange(0.0, 300.0)
     path = ImagePath(np.stack([500 + place, 400 + 0.5 * place], axis=1), np.ones(300, dtype=bool), 0.0, 1.0)
-    start = rig.cameras[0].centre + 300.0 * rays(rig.cameras[0], path.points[:1])[0]
+    start = camera.centre + 300.0 * rays(camera, path.points[:1])[0]
     found, _, _ = curve_of(same, Match((path, path), np.tile(np.arange(0.0, 299.0, 2.0), (2, 1)), 0.0), start, 100.0, 0.0)
-    assert rig.cameras[0].depth(found).max() <= 4.001 * rig.cameras[0].depth(start)
+    assert camera.depth(found).max() <= 4.001 * camera.depth(start)
 
 
 def test_a_rod_that_leaves_a_piece_of_the_thread_out_is_not_clear(seen):
     """It may be a short cut, as where strands cross."""
     rig, curves, detections = seen
-    piece = detections[0][0].points[200] + np.arange(8, 40)[:, None] * [0.6, 0.8]
-    images = [[with_more(detections[0][0], piece, np.array([0.6, 0.8])), detections[0][1]]]
+    images = [[with_more(detections[0][0], detections[0][0].points[200], [0.6, 0.8], range(8, 40)), detections[0][1]]]
     found, whole = (recovered((rig, curves[:1], some)) for some in (images, detections[:1]))
     assert found.coverage.min() > 0.95 and errors(found, curves[:1])[0] < 0.6
     assert (found.verdict[0], whole.verdict[0]) == (d.PerceptionVerdict.AMBIGUOUS, d.PerceptionVerdict.CLEAR)
@@ -159,8 +161,9 @@ def test_a_thread_begins_where_the_rays_of_its_ends_meet(angle, turn, rng):
     assert np.linalg.norm(seed.point - points[0]) < min(1.5, 3 * seed.sigma) and seed.sigma < 1.5
 
 
-def with_more(found, points: np.ndarray, tangent: np.ndarray):
-    return found.with_parts([line_of(points, tangent, found.width_px)])
+def with_more(found, start: np.ndarray, way, places: range):
+    """A detection with points of something else, at so many px from ``start`` (2,) along the unit vector ``way``."""
+    return found.with_parts([line_of(start + np.outer(places, way), np.asarray(way), found.width_px)])
 
 
 def test_a_loop_is_passed_the_same_way_in_all_images():
@@ -181,10 +184,8 @@ def test_a_loop_is_passed_the_same_way_in_all_images():
 
     first, second = rig.cameras
     paths = [[path(first, loop)], [path(second, loop[::-1]), path(second, loop)]]
-    costs = [match.cost for match in best_matches(rig, paths, 2)]
-    assert abs(costs[0] - costs[1]) < 0.01
-    match = likely_matches(rig, paths, before[0], SMOOTHNESS[0], 1)[0]
-    assert match.paths[1] is paths[1][1]
+    assert abs(np.diff([match.cost for match in best_matches(rig, paths, 2)])[0]) < 0.01
+    assert likely_matches(rig, paths, before[0], SMOOTHNESS[0], 1)[0].paths[1] is paths[1][1]
 
 
 def test_a_rig_whose_poses_mean_something_else_fits_worse(rng):
@@ -192,7 +193,7 @@ def test_a_rig_whose_poses_mean_something_else_fits_worse(rng):
     rig, points = cameras(40.0, third=False), curve(np.random.default_rng(7))
     images = views(rig, points, 0.2, rng)
     misread = d.Rig(tuple(replace(view, rotation=view.rotation.T, translation=view.centre) for view in rig.cameras))
-    click = {0: rig.cameras[0].project(points[:1])[0]}
+    click = {0: rig.cameras[0].project(points[0])}
     assert fit_better(misread, {"right": rig, "same": misread}, images, click) == ["right"]
     assert fit_better(rig, {"misread": misread}, images, click) == []
 
@@ -203,15 +204,13 @@ def test_an_end_of_something_else_is_not_where_the_rod_begins(rng):
     rig, t = cameras(25.0, third=True), np.linspace(0, 1, 2001)
     points = np.stack([60 * t - 30, 25 * np.sin(3 * t), 15 * np.sin(4 * t)], axis=1)
     images = views(rig, points, 0.1, rng)
-    start, on = (rig.cameras[1].project(place[None])[0] for place in (points[0], points[0] - 8 * (points[5] - points[0])))
+    start, on = rig.cameras[1].project(np.stack([points[0], points[0] - 8 * (points[5] - points[0])]))
     way = unit_vectors(on - start)
-    images[1] = with_more(images[1], start + np.arange(1, 80)[:, None] * way, way)
-    ray = points[0] - rig.cameras[0].centre
-    far = rig.cameras[2].project((rig.cameras[0].centre + 1.5 * ray)[None])[0]
-    images[2] = with_more(images[2], far + np.arange(40)[:, None] * [0.6, 0.8], np.array([0.6, 0.8]))
-    click = {0: rig.cameras[0].project(points[:1])[0]}
-    for rig, images in ((d.Rig(rig.cameras[:2]), images[:2]), (rig, images)):
-        seed = seed_from_pixels(rig, images, click, "test")
+    images[1] = with_more(images[1], start, way, range(1, 80))
+    centre = rig.cameras[0].centre
+    images[2] = with_more(images[2], rig.cameras[2].project(centre + 1.5 * (points[0] - centre)), [0.6, 0.8], range(40))
+    for count in (2, 3):
+        seed = begun(d.Rig(rig.cameras[:count]), images[:count], points)
         assert np.linalg.norm(seed.point - points[0]) < 3 * seed.sigma < 4.0
 
 
@@ -219,11 +218,8 @@ def test_a_camera_from_which_a_part_is_hidden_does_not_cost_it(rng):
     rig, points = cameras(40.0, third=True), curve(np.random.default_rng(7))
     images = views(rig, points, 0.1, rng)
     images[2] = images[2].take(np.arange(int(0.7 * images[2].count)))
-    seed = begun(rig, images, points).point[None]
-    thread = whole_threads(rig, [images], seed, None, MATERIAL, UP)
+    thread, found = of_whole_thread(rig, images, points)
     assert abs(thread.length[0] / LENGTH_MM - 1) < 0.02
-    lengths = np.full(EDGES, thread.length[0] / EDGES)
-    found = d.perceive(d.distance_maps([images]), rig, seed, thread.direction, lengths, MATERIAL)
     assert errors(found, [points])[0] < 0.3 and found.verdict[0] == d.PerceptionVerdict.CLEAR
     assert 0.2 < found.hidden[0, 2] < 0.4 and (found.hidden[0, :2] == 0).all()
 
@@ -234,11 +230,7 @@ def test_where_a_rod_is_clear_the_range_of_its_length_holds_the_thread_s(rng):
     rig, clear = cameras(30.0, third=False), 0
     for _ in range(5):
         points = curve(rng)
-        images = views(rig, points, 0.1, rng)
-        start = begun(rig, images, points).point
-        whole = whole_threads(rig, [images], start[None], None, MATERIAL, UP)
-        lengths = np.full(EDGES, whole.length[0] / EDGES)
-        found = d.perceive(d.distance_maps([images]), rig, start[None], whole.direction, lengths, MATERIAL)
+        whole, found = of_whole_thread(rig, views(rig, points, 0.1, rng), points)
         if replace(found, length_range=whole.range).verdict[0] == d.PerceptionVerdict.CLEAR:
             clear += 1
             assert whole.range[0, 0] <= LENGTH_MM <= whole.range[0, 1] < 1.06 * LENGTH_MM
@@ -257,16 +249,13 @@ def test_coverage_is_the_share_of_points_near_the_rod(seen):
 
 
 @pytest.mark.thorough
-@pytest.mark.skipif(not PAIRS.exists(), reason="rendered stereo pairs of others are not here")
 @pytest.mark.parametrize("group", [1, 6, *(pytest.param(number, marks=pytest.mark.slow) for number in (2, 3, 5, 7, 8, 9, 10))])
-def test_stereo_pairs_that_others_rendered(group):
+def test_stereo_pairs_that_others_rendered(shared_data, group):
     """Baselines of 1 and 5 mm at a distance of a decimetre; curves that no rod made."""
-    with np.load(PAIRS / "truth.npz") as file:
-        truth = dict(file)
-    sets = load_sets(PAIRS / f"sets{group}.csv", d.load_rig(PAIRS / f"rig{group}.yaml"))
+    folder = shared_data / "suture_stereo" / "rendered"
+    truth, sets = np.load(folder / "truth.npz"), load_sets(folder / f"sets{group}.csv", d.load_rig(folder / f"rig{group}.yaml"))
     curves = [truth[f"curve_mm_{name}"] for name in sets.names]
-    detections = [[d.detect(read_image(path, camera)) for path, camera in zip(paths, sets.rig.cameras, strict=True)]
-                  for paths in sets.paths]
+    detections = [[d.detect(read_image(*image)) for image in zip(paths, sets.rig.cameras)] for paths in sets.paths]
     lengths = np.full(33, curve_length(curves[0]) / 33)
     found = d.perceive(d.distance_maps(detections), sets.rig, sets.point, sets.direction, lengths, MATERIAL)
     error = errors(found, curves)

@@ -1,6 +1,7 @@
 """Eq. 4: twist from shape, on rods whose twist is known because they were made with it; the intervals that it reports."""
 
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -10,7 +11,7 @@ from doo_ti import Clamp, Material, Observations, Plane, Surroundings, consecuti
 from doo_ti.lab.synthesis import synthesise
 from doo_ti.lab.workload import LAB, SUTURES
 from doo_ti.perception.twist import TwistOptions, TwistVerdict, estimate_twist
-from doo_ti.rod.frames import angle_about, total_twist
+from doo_ti.rod.frames import angle_about, total_twist, unit_vectors
 from doo_ti.rod.start import held_spins, observation_clamps, start_configuration
 from tests.conftest import check_refused
 from tests.references.rods import at_rest, bows, chain, observed
@@ -25,15 +26,11 @@ def made():
     return observed(at_rest(bows(0.5, 0.7, 0.9, 0.6, 0.8, edges=EDGES, twist=TWIST), MATERIAL))
 
 
-def about_tangent(angle) -> np.ndarray:
-    return Rotation.from_rotvec(np.multiply.outer(angle, [1.0, 0, 0])).as_matrix()
-
-
 def test_the_curve_is_eq_4(made):
     """Sample by sample against F called the way an observation's own hypotheses are: another start, another clamp code."""
     options = TwistOptions(step=np.pi / 2, span=np.pi, precision="f64")
-    group, offset = np.zeros(made.count, dtype=int), np.linspace(-0.5, 0.7, made.count)
-    estimate = estimate_twist(made, MATERIAL, group, offset, options)
+    offset = np.linspace(-0.5, 0.7, made.count)
+    estimate = estimate_twist(made, MATERIAL, np.zeros(made.count, dtype=int), offset, options)
     clamps = replace(observation_clamps(made), end=Clamp.TANGENT)
     for place, phi in enumerate(options.angles):
         twisted = replace(made, total_twist=phi + offset)
@@ -45,15 +42,15 @@ def test_the_curve_is_eq_4(made):
 def test_every_grasp_has_its_own_angle(made):
     """Footnote 4: two grasps, two turns of the rod in the gripper."""
     group = consecutive_groups(made.count, made.count, [3])
-    assert group.tolist() == [0, 0, 0, 1, 1]
-    estimate = estimate_twist(made, MATERIAL, group, made.total_twist - np.where(group == 0, 0.4, -1.1))
-    np.testing.assert_allclose(estimate.phi, [0.4, -1.1], atol=np.radians(1.0))
+    offset = made.total_twist - np.where(group == 0, 0.4, -1.1)
+    np.testing.assert_allclose(estimate_twist(made, MATERIAL, group, offset).phi, [0.4, -1.1], atol=np.radians(1.0))
 
 
-def test_groups():
-    assert consecutive_groups(7, 3).tolist() == [0, 0, 0, 1, 1, 1, 2]
-    assert consecutive_groups(7, 3, [1, 5]).tolist() == [0, 1, 1, 1, 2, 3, 3]
-    assert consecutive_groups(3, 1).tolist() == [0, 1, 2]
+@pytest.mark.parametrize("count, together, more, groups", [
+    (7, 3, (), [0, 0, 0, 1, 1, 1, 2]), (7, 3, [1, 5], [0, 1, 1, 1, 2, 3, 3]), (3, 1, (), [0, 1, 2]),
+    (5, 5, [3], [0, 0, 0, 1, 1])])
+def test_groups(count, together, more, groups):
+    assert consecutive_groups(count, together, more).tolist() == groups
 
 
 def test_offsets_without_a_hint_follow_from_one_to_the_next(made):
@@ -61,7 +58,8 @@ def test_offsets_without_a_hint_follow_from_one_to_the_next(made):
     turns = np.radians([0.0, 100.0, 200.0, 300.0, 20.0])
     known = replace(made.take([0] * 5), total_twist=None)
     first = end_offsets(known, np.zeros(5, dtype=int))[0]
-    offset = end_offsets(replace(known, end_frame=known.end_frame @ about_tangent(turns)), np.array([0, 0, 0, 0, 1]))
+    turned = known.end_frame @ Rotation.from_euler("x", turns[:, None]).as_matrix()
+    offset = end_offsets(replace(known, end_frame=turned), np.array([0, 0, 0, 0, 1]))
     assert np.abs(first) <= np.pi
     np.testing.assert_allclose(np.diff(offset[:4]), np.radians(100.0), atol=1e-9)
     assert np.abs(offset[[0, 4]]).max() <= np.pi + 1e-9
@@ -72,11 +70,11 @@ def test_noisy_marks_alone_say_less(made, rng):
     """They tilt the ends that are held along them, which moves the estimate by far more than its curve is wide."""
     noisy = replace(made.take(np.repeat(np.arange(made.count), 8)), frames=None, total_twist=None)
     noisy = replace(noisy, vertices=noisy.vertices + rng.normal(0, 0.002, noisy.vertices.shape))
-    truth = np.repeat(TWIST, 8)
-    held, alone = (estimate_twist(one, MATERIAL) for one in (noisy, replace(noisy, start_frame=None, end_frame=None)))
+    truth, bare = np.repeat(TWIST, 8), replace(noisy, start_frame=None, end_frame=None)
+    held, alone = (estimate_twist(one, MATERIAL) for one in (noisy, bare))
     assert np.mean((alone.low <= truth) & (truth <= alone.high)) > 0.9
     assert np.median(alone.high - alone.low) > 2 * np.median(held.high - held.low)
-    same = estimate_twist(replace(noisy, start_frame=None, end_frame=None).take([11]), MATERIAL)
+    same = estimate_twist(bare.take([11]), MATERIAL)
     assert (same.objective[0] == alone.objective[11]).all() and (same.low, same.high) == (alone.low[11], alone.high[11])
 
 
@@ -100,10 +98,8 @@ def test_rods_that_cannot_be_are_undetermined(made):
 
 def test_a_rod_that_does_not_feel_twist_is_ambiguous(made):
     """Nearly straight and much stiffer in bend than in twist: every angle fits."""
-    straight = chain(np.tile([1.0, 0, 0], (EDGES, 1)), [0, 1, 0], 3.0)
-    tilt = np.linspace(0, 0.2, EDGES + 1)[:, None] * [0, 0, 1]
-    seen = Observations(straight.vertices + tilt, rest_length=np.full(EDGES, 3.01))
-    estimate = estimate_twist(seen, Material(1e7, 1e4))
+    line = np.linspace([0.0, 0, 0], [3.0 * EDGES, 0, 0.2], EDGES + 1)
+    estimate = estimate_twist(Observations(line[None], rest_length=np.full(EDGES, 3.01)), Material(1e7, 1e4))
     assert estimate.verdict[0] in (TwistVerdict.AMBIGUOUS, TwistVerdict.AT_BORDER)
     assert estimate.high[0] - estimate.low[0] > np.pi
 
@@ -121,13 +117,11 @@ def test_wrong_arguments_are_named(made):
 def test_total_twist_is_the_angle_between_transported_directors(made):
     """Against angles in the plane across each edge."""
     rod = chain(np.diff(made.vertices[2], axis=0), [0, 1, 0], 3.0, spin=np.linspace(0, 7.0, EDGES))
-    frames, angles = rod.frames[0], []
-    for before, after in zip(frames[:-1], frames[1:], strict=True):
+    angles = []
+    for before, after in pairwise(rod.frames[0]):
         axis = np.cross(before[:, 0], after[:, 0])
-        sine, cosine = np.linalg.norm(axis), before[:, 0] @ after[:, 0]
-        axis, m1 = axis / max(sine, 1e-300), before[:, 1]
-        carried = m1 * cosine + np.cross(axis, m1) * sine + axis * (axis @ m1) * (1 - cosine)
-        angles.append(angle_about(after[:, 0], carried, after[:, 1]))
+        turn = Rotation.from_rotvec(np.arcsin(np.linalg.norm(axis)) * unit_vectors(axis))
+        angles.append(angle_about(after[:, 0], turn.apply(before[:, 1]), after[:, 1]))
     assert np.sum(angles) == pytest.approx(7.0)
     assert total_twist(rod.quaternions)[0] == pytest.approx(np.sum(angles), abs=1e-12)
 

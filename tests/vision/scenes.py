@@ -5,6 +5,7 @@ import numpy as np
 
 from doo_ti import Camera, Detection, DistanceMaps, Rig
 from doo_ti.rod.frames import normal_to, unit_vectors
+from doo_ti.vision.tubes import smooth_curve
 from tests.oracle.reprojection import Map, polyline_distance
 
 
@@ -62,8 +63,7 @@ def curves(random: np.random.Generator, count: int, edges: int, length: float = 
     """(N, V, 3) mm: smooth rods around the origin, of edges that all have that length."""
     swing = turn * random.normal(size=(count, 1, 3)) + 0.4 * turn * random.normal(size=(count, edges, 3))
     tangents = np.cumsum(np.concatenate([random.normal(size=(count, 1, 3)), swing], axis=1), axis=1)[:, :edges]
-    tangents = unit_vectors(tangents)
-    vertices = np.concatenate([np.zeros((count, 1, 3)), np.cumsum(length * tangents, axis=1)], axis=1)
+    vertices = np.pad(np.cumsum(length * unit_vectors(tangents), axis=1), ((0, 0), (1, 0), (0, 0)))
     return vertices - vertices.mean(axis=1, keepdims=True)
 
 
@@ -82,9 +82,10 @@ def drawn_maps(rig: Rig, rods: np.ndarray, margin: int = 25) -> DistanceMaps:
     return DistanceMaps(np.concatenate([v.ravel() for v in values]).astype(np.float32), window)
 
 
-def drawn_scene(seed: int, count: int, edges: int) -> tuple[Rig, np.ndarray, DistanceMaps]:
+def drawn_scene(seed: int, count: int, edges: int, pieces: int = 1) -> tuple[Rig, np.ndarray, DistanceMaps]:
+    """Three cameras, rods (A, V, 3) mm, and their maps, drawn in so many pieces to an edge."""
     rods = curves(np.random.default_rng(seed), count, edges)
-    return three_cameras(), rods, drawn_maps(three_cameras(), rods)
+    return three_cameras(), rods, drawn_maps(three_cameras(), smooth_curve(rods, pieces) if pieces > 1 else rods)
 
 
 def map_of(maps: DistanceMaps, row: int, camera: int) -> Map:

@@ -153,7 +153,7 @@ def test_adjustment_comes_back_from_afar(rng):
     true = Bundle(rig.cameras, *(np.array(part) for part in zip(*placed)))
     free = np.ones(3 * 15 + 6 * 6, dtype=bool)
     lenses, _, of_views = places(3, 6)
-    free[lenses[:, 8]], free[of_views[0]] = False, False
+    free[lenses[:, 8]] = free[of_views[0]] = False
     push = rng.normal(size=len(free)) * np.where(free, 0.02, 0)
     push[lenses[:, :4]] *= 500
     push[lenses[:, 4:]] *= 0.5
@@ -176,10 +176,9 @@ def test_not_every_camera_sees_every_view(rng):
 
 @pytest.mark.thorough
 def test_what_does_not_determine_a_rig_is_refused(rng):
-    rig = around()
-    seen = sightings(CHESSBOARD, rig, poses(CHESSBOARD, 4, rng), 0.1, rng)
+    seen = sightings(CHESSBOARD, around(), poses(CHESSBOARD, 4, rng), 0.1, rng)
     later = [entry for entry in seen if entry.view]
     check_refused("first view", calibrated, later, 4)
     assert calibrated(later, 4, world="camera").overall_rms < 0.2
     check_refused("cam1: .*2", calibrated, [entry for entry in seen if entry.camera != 1 or entry.view < 2], 4)
-    check_refused("cam", calibrated, sightings(CHESSBOARD, rig, poses(CHESSBOARD, 1, rng) * 4, 0.1, rng), 4)
+    check_refused("cam", calibrated, sightings(CHESSBOARD, around(), poses(CHESSBOARD, 1, rng) * 4, 0.1, rng), 4)

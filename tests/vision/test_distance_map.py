@@ -12,6 +12,7 @@ from doo_ti.vision import sampling
 from doo_ti.vision.distance_map import COMPARED_PX, distance_maps
 from doo_ti.vision.render import RenderOptions, render_set
 from tests.conftest import check_refused
+from tests.oracle.reprojection import polyline_distance
 from tests.vision.device import every_number, row_kernel
 from tests.vision.scenes import bow, line_of, map_of, small_rig, three_cameras
 
@@ -25,16 +26,16 @@ def circle(radius: float) -> Detection:
     return line_of(np.array([200.3, 170.6]) + radius * out, normal_to(out), shape=SHAPE)
 
 
+def pixels_of(window: np.ndarray) -> np.ndarray:
+    """(height, width, 2) px."""
+    _, left, top, width, height = window
+    return np.stack(np.meshgrid(np.arange(left, left + width), np.arange(top, top + height)), axis=-1).astype(float)
+
+
 def by_force(found: Detection, window: np.ndarray) -> np.ndarray:
     """(height, width) px: the smallest distance to a piece of half a pixel either way."""
-    _, left, top, width, height = window
-    pixel = np.stack(np.meshgrid(np.arange(left, left + width), np.arange(top, top + height)), axis=-1).astype(float)
-    best = np.full((height, width), np.inf)
-    for point, direction in zip(found.points, found.direction):
-        apart = pixel - point
-        along = np.clip(apart @ direction, -0.5, 0.5)
-        best = np.minimum(best, np.linalg.norm(apart - along[..., None] * direction, axis=-1))
-    return best
+    pieces = zip(found.points - found.direction / 2, found.points + found.direction / 2)
+    return np.min([polyline_distance(pixels_of(window), np.array(piece)) for piece in pieces], axis=0)
 
 
 @pytest.mark.thorough
@@ -51,11 +52,8 @@ def test_maps_are_the_distance_to_the_nearest_piece():
 
 
 def test_the_valley_does_not_ripple_along_the_line():
-    radius = 60.0
-    maps = distance_maps([[circle(radius)]], 40)
-    _, left, top, width, height = maps.window[0, 0]
-    x, y = np.meshgrid(np.arange(left, left + width), np.arange(top, top + height))
-    exact = np.abs(np.hypot(x - 200.3, y - 170.6) - radius)
+    maps = distance_maps([[circle(60.0)]], 40)
+    exact = np.abs(np.linalg.norm(pixels_of(maps.window[0, 0]) - [200.3, 170.6], axis=-1) - 60.0)
     off = np.abs(map_of(maps, 0, 0).distances - exact)
     assert off[exact < COMPARED_PX - 1].max() < 0.01 and off.max() < 0.1
 

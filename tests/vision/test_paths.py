@@ -21,21 +21,15 @@ def chains(points: np.ndarray, rng: np.random.Generator, hidden: tuple[float, fl
     return Chains.of(line_of(noisy, rng.choice([-1.0, 1.0], (len(place), 1)) * ahead, 2.0, SHAPE))
 
 
-def wave() -> np.ndarray:
-    s = np.linspace(0, 1, 800)
-    return np.stack([60 + 500 * s, 240 + 120 * np.sin(7 * s)], axis=1)
+def _curves():
+    s, a, way = np.linspace(0, 1, 800), np.linspace(-2.2, 2.2, 1200), np.linspace(0, 1, 300)[:, None]
+    yield np.stack([60 + 500 * s, 240 + 120 * np.sin(7 * s)], axis=1)
+    yield np.stack([320 + 90 * (a**3 - 2.5 * a) / 2, 120 + 60 * a**2], axis=1)
+    yield np.concatenate([[288, 100] + way * [12, 220], [301, 320] + way * [25, -200]])
 
 
-def loop() -> np.ndarray:
-    a = np.linspace(-2.2, 2.2, 1200)
-    return np.stack([320 + 90 * (a**3 - 2.5 * a) / 2, 120 + 60 * a**2], axis=1)
-
-
-def corner() -> np.ndarray:
-    """It comes towards the camera and goes back beside itself."""
-    down, up = np.linspace(0, 1, 300), np.linspace(0, 1, 300)
-    return np.concatenate([np.stack([300 - 12 * (1 - down), 100 + 220 * down], axis=1),
-                           np.stack([301 + 25 * up, 320 - 200 * up], axis=1)])
+WAVE, LOOP, CORNER = _curves()
+"""(N, 2) px. The loop crosses itself once; the corner comes towards the camera and goes back beside itself."""
 
 
 def missed(path, curve: np.ndarray) -> float:
@@ -53,7 +47,7 @@ def test_the_line_on_a_laid_rope_is_one_path():
     assert path.share > 0.95 and abs(path.points[-1, 0] - 559) < 5
 
 
-@pytest.mark.parametrize("curve", [wave(), loop(), corner()], ids=["wave", "loop", "corner"])
+@pytest.mark.parametrize("curve", [WAVE, LOOP, CORNER], ids=["wave", "loop", "corner"])
 def test_a_path_goes_from_end_to_end(rng, curve):
     path = paths_from(chains(curve, rng), curve[0], curve[5] - curve[0])[0]
     assert missed(path, curve) < 8.0 and path.share > 0.95
@@ -61,25 +55,20 @@ def test_a_path_goes_from_end_to_end(rng, curve):
 
 @pytest.mark.parametrize("hidden", [(0.4, 0.5), (0.45, 0.62)])
 def test_a_path_crosses_a_gap_and_says_so(rng, hidden):
-    path = paths_from(chains(wave(), rng, hidden), wave()[0], None)[0]
-    assert missed(path, wave()) < 30.0 and abs(np.mean(~path.seen) - (hidden[1] - hidden[0])) < 0.06
+    path = paths_from(chains(WAVE, rng, hidden), WAVE[0], None)[0]
+    assert missed(path, WAVE) < 30.0 and abs(np.mean(~path.seen) - (hidden[1] - hidden[0])) < 0.06
 
 
-def test_it_begins_in_the_middle_in_the_direction_that_is_given(rng):
-    curve = wave()
-    ahead, back = (paths_from(chains(curve, rng), curve[300], sign * (curve[310] - curve[300]))[0] for sign in (1.0, -1.0))
-    assert np.linalg.norm(ahead.points[-1] - curve[-1]) < 4 and np.linalg.norm(back.points[-1] - curve[0]) < 4
+def test_it_begins_in_the_middle_in_the_direction_that_is_given_and_leads_to_a_free_end(rng):
+    for sign, end in ((1.0, WAVE[-1]), (-1.0, WAVE[0])):
+        path = paths_from(chains(WAVE, rng), WAVE[300], sign * (WAVE[310] - WAVE[300]))[0]
+        assert np.linalg.norm(path.points[-1] - end) < 4
+        assert np.linalg.norm(chains(WAVE, rng).free_ends - end, axis=1).min() < 3.0
 
 
 def test_a_loop_has_other_paths_as_well(rng):
-    paths = paths_from(chains(loop(), rng), loop()[0], None)
-    assert len(paths) > 1 and missed(paths[0], loop()) < 8.0 < missed(paths[1], loop())
-
-
-def test_free_ends_are_those_of_the_thread(rng):
-    ends = chains(wave(), rng).free_ends
-    for end in wave()[[0, -1]]:
-        assert np.linalg.norm(ends - end, axis=1).min() < 3.0
+    paths = paths_from(chains(LOOP, rng), LOOP[0], None)
+    assert len(paths) > 1 and missed(paths[0], LOOP) < 8.0 < missed(paths[1], LOOP)
 
 
 @pytest.mark.parametrize("apart", [0.25, 0.32, 0.45])

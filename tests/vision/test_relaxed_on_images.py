@@ -38,9 +38,8 @@ def relaxed(scene, sets: np.ndarray, start: Configuration, nu: float = NU, kind=
 
 def energy_vis(scene, row: int, vertices: np.ndarray) -> float:
     """By the oracle, of a rod without twist."""
-    rig, _, maps = scene
-    errors = sum(edge_error(camera, map_of(maps, row, c), a, b, POINTS, 40.0)
-                 for c, camera in enumerate(rig.cameras) for a, b in zip(vertices[:-1], vertices[1:]))
+    errors = sum(edge_error(camera, map_of(scene[2], row, c), a, b, POINTS, 40.0)
+                 for c, camera in enumerate(scene[0].cameras) for a, b in zip(vertices[:-1], vertices[1:]))
     return rod_energy(vertices, ALPHA, 1.0, np.array([0.0, 0.0, 1.0])) + NU * errors
 
 
@@ -90,9 +89,8 @@ def test_grown_rods_converge(nu, scene, rng):
 
 @pytest.mark.thorough
 def test_single_precision_ends_where_double_does(scene, rng):
-    sets, start = starts(rng, scene[1], 60, 0.03)
-    fine = relaxed(scene, sets, start, 100.0)
-    quick = relaxed(scene, sets, start, 100.0, solver=Newton(tolerance=1e-2), precision="f32")
+    given = scene, *starts(rng, scene[1], 60, 0.03), 100.0
+    fine, quick = relaxed(*given), relaxed(*given, solver=Newton(tolerance=1e-2), precision="f32")
     assert quick.converged.all() and (quick.precision == 32).mean() > 0.9
     apart = np.linalg.norm(fine.configuration.vertices - quick.configuration.vertices, axis=-1).max(axis=1)
     assert (apart < 5e-3).mean() > 0.9  # a few find another minimum

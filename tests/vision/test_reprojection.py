@@ -7,6 +7,7 @@ import pytest
 
 from doo_ti import DistanceMaps, Material, Reprojection, Rig, score
 from doo_ti.physics.number import Number
+from doo_ti.rod.frames import normal_to, unit_vectors
 from doo_ti.vision.edge_integral import UNSEEN
 from doo_ti.vision.image_energy import AssignedPoints
 from tests.conftest import check_refused
@@ -23,53 +24,52 @@ def scene():
     return drawn_scene(4, 4, 12)
 
 
-def edges_near(rng, rods, count=40, off=0.7):
-    """(N, 7): set, start and end of edges some way off those of the rods."""
+def edges_near(rng, rods, count, off=0.7):
+    """(N, 8): set, ν, start and end of edges some way off those of the rods."""
     rows, edges = rng.integers(0, len(rods), count), rng.integers(0, rods.shape[1] - 1, count)
-    return np.column_stack([rows, rods[rows, edges] + off * rng.normal(size=(count, 3)),
-                            rods[rows, edges + 1] + off * rng.normal(size=(count, 3))])
+    ends = np.hstack([rods[rows, edges], rods[rows, edges + 1]])
+    return np.column_stack([rows, np.full(count, NU), ends + off * rng.normal(size=(count, 6))])
 
 
-def evaluated(number, scene, edges, coarse=0.0, nu=NU, points=POINTS):
+def on_device(number: Number, external, rows: np.ndarray, coarse: float = 0.0) -> list[np.ndarray]:
+    """Energy (N,) and its moments g, h (N, 3) and k, n, m (N, 3, 3), over the start and the change along the edge."""
+    found = edge_kernel(number, type(external))(np.insert(rows, rows.shape[1], coarse, axis=1), external.numbers(),
+                                                external.field())
+    _, g, h, k, n, m = np.split(found, [1, 4, 7, 13, 22], axis=1)
+    return [found[:, 0], g, h, k[:, SYMMETRIC], n.reshape(-1, 3, 3), m[:, SYMMETRIC]]
+
+
+def evaluated(number, scene, edges, coarse=0.0, points=POINTS):
     """Energy (N,), gradient (N, 6) and Hessian (N, 6, 6) by start and end."""
-    rig, _, maps = scene
-    external = Reprojection(maps, rig, nu, points, CAP)
-    rows = np.column_stack([edges[:, 0], np.full(len(edges), nu), edges[:, 1:], np.full(len(edges), coarse)])
-    found = edge_kernel(number, Reprojection)(rows, external.numbers(), external.field())
-    g, h, k, n, m = np.split(found[:, 1:], [3, 6, 12, 21], axis=1)
-    k, n, m = k[:, SYMMETRIC], n.reshape(-1, 3, 3), m[:, SYMMETRIC]
-    # From moments, over the start and the change along the edge, to start and end.
-    mixed = n - m
-    hessian = np.block([[k - n - n.transpose(0, 2, 1) + m, mixed], [mixed.transpose(0, 2, 1), m]])
-    return found[:, 0], np.concatenate([g - h, h], axis=1), hessian
+    energy, g, h, k, n, m = on_device(number, Reprojection(scene[2], scene[0], NU, points, CAP), edges, coarse)
+    hessian = np.block([[k - n - n.transpose(0, 2, 1) + m, n - m], [(n - m).transpose(0, 2, 1), m]])
+    return energy, np.hstack([g - h, h]), hessian
+
+
+def views(scene, edge: np.ndarray, points: int = POINTS) -> list[tuple]:
+    """What the oracle has to know of an edge, for each camera."""
+    return [(camera, map_of(scene[2], int(edge[0]), c), edge[2:5], edge[5:], points, CAP)
+            for c, camera in enumerate(scene[0].cameras)]
 
 
 @pytest.mark.sampled(1)
 @every_number
 def test_energy_and_gradient_are_the_oracle_s(number, scene, rng):
-    rig, rods, maps = scene
-    edges = edges_near(rng, rods, 21)
-    edges[:3, 1:] += 40.0  # off the windows
-    energy, gradient, _ = evaluated(number, scene, edges)
-    for (row, *ends), found, slope in zip(edges, energy, gradient):
-        start, end = np.split(np.array(ends), 2)
-        views = [(camera, map_of(maps, int(row), c), start, end, POINTS, CAP) for c, camera in enumerate(rig.cameras)]
-        assert found == pytest.approx(NU * sum(edge_error(*one) for one in views), rel=1e-12 if number.bits == 64 else 1e-5)
-        wanted = NU * sum(edge_gradient(*one) for one in views)
+    edges = edges_near(rng, scene[1], 21)
+    edges[:3, 2:] += 40.0  # off the windows
+    for edge, found, slope in zip(edges, *evaluated(number, scene, edges)[:2]):
+        wanted = NU * sum(edge_error(*one) for one in views(scene, edge))
+        assert found == pytest.approx(wanted, rel=1e-12 if number.bits == 64 else 1e-5)
+        wanted = NU * sum(edge_gradient(*one) for one in views(scene, edge))
         np.testing.assert_allclose(slope, wanted, atol=(1e-11 if number.bits == 64 else 1e-3) * np.abs(wanted).max())
 
 
 @pytest.mark.thorough
 def test_hessian_is_that_of_finite_differences(scene, rng):
     """Off the lines halfway between pixels, where the spline's second derivative jumps."""
-    rig, rods, maps = scene
-    edges = edges_near(rng, rods, 12)
-    _, _, hessian = evaluated(NUMBERS[0], scene, edges, points=2)
-    smooth = 0
-    for (row, *ends), found in zip(edges, hessian):
-        start, end = np.split(np.array(ends), 2)
-        views = [(camera, map_of(maps, int(row), c), start, end, 2, CAP) for c, camera in enumerate(rig.cameras)]
-        wide, wanted = (NU * sum(edge_hessian(*one, step) for one in views) for step in (2e-6, 1e-6))
+    edges, smooth = edges_near(rng, scene[1], 12), 0
+    for edge, found in zip(edges, evaluated(NUMBERS[0], scene, edges, points=2)[2]):
+        wide, wanted = (NU * sum(edge_hessian(*one, step) for one in views(scene, edge, 2)) for step in (2e-6, 1e-6))
         if np.abs(wide - wanted).max() < 1e-6 * np.abs(wanted).max():
             smooth += 1
             np.testing.assert_allclose(found, wanted, atol=1e-6 * np.abs(wanted).max())
@@ -80,8 +80,7 @@ def test_hessian_is_that_of_finite_differences(scene, rng):
 @every_number
 def test_coarse_curvature_is_positive_semidefinite(number, scene, rng):
     """With the same energy and gradient; on the crease it has the true curvature across."""
-    _, rods, _ = scene
-    edges = edges_near(rng, rods, 60, off=2.0)
+    edges = edges_near(rng, scene[1], 60, off=2.0)
     fine, coarse = evaluated(number, scene, edges), evaluated(number, scene, edges, coarse=1.0)
     np.testing.assert_array_equal(fine[0], coarse[0])
     np.testing.assert_array_equal(fine[1], coarse[1])
@@ -97,7 +96,7 @@ def test_an_edge_that_a_camera_does_not_see_costs_but_does_not_pull(number, scen
     rig, rods, maps = scene
     camera = rig.cameras[0]
     begin = camera.centre + np.array([(0, 0, -20), (100, 0, 5), (0, 0, 1e-3)]) @ camera.rotation
-    edges = np.column_stack([np.zeros(3), begin, begin + np.array([1e-4, 2e-4, 0]) @ camera.rotation])
+    edges = np.column_stack([np.zeros(3), np.full(3, NU), begin, begin + np.array([1e-4, 2e-4, 0]) @ camera.rotation])
     found = evaluated(number, (Rig((camera,)), rods, DistanceMaps(maps.values, maps.window[:, :1])), edges)
     assert found[0] == pytest.approx(NU * UNSEEN, rel=1e-6) and not found[1].any() and not found[2].any()
 
@@ -173,79 +172,59 @@ ROWS, EDGES, PLACES, NU_BACK = 6, 4, 3, 2.5
 @pytest.fixture(scope="module")
 def assigned() -> AssignedPoints:
     """Points about the middle of the images, a few px from where edges are seen."""
-    rng, rig = np.random.default_rng(4), three_cameras()
-    shape = (ROWS, 3, EDGES, PLACES)
-    middle = np.array([camera.project(np.zeros((1, 3)))[0] for camera in rig.cameras])
-    points = middle[None, :, None, None] + rng.normal(0, 6.0, (*shape, 2))
-    angle, weight = rng.uniform(0, np.pi, shape), rng.uniform(0.5, 2.0, shape)
+    rng, rig, shape = np.random.default_rng(4), three_cameras(), (ROWS, 3, EDGES, PLACES)
+    points = rig.project(np.zeros(3))[:, None, None] + rng.normal(0, 6.0, (*shape, 2))
+    weight = rng.uniform(0.5, 2.0, shape)
     weight[1, 0, 2] = 0.0
-    return AssignedPoints(rig, points, np.stack([np.cos(angle), np.sin(angle)], axis=-1), weight, NU_BACK, 0.1, 3.0)
+    return AssignedPoints(rig, points, unit_vectors(rng.normal(size=points.shape)), weight, NU_BACK, 0.1, 3.0)
 
 
 def formula(external: AssignedPoints, row: int, edge: int, start: np.ndarray, end: np.ndarray) -> float:
-    total = 0.0
-    for c, camera in enumerate(external.rig.cameras):
-        for k in range(PLACES):
-            share = (k + 0.5) / PLACES
-            apart = camera.project((start + share * (end - start))[None])[0] - external.points[row, c, edge, k]
-            t = external.tangent[row, c, edge, k]
-            square = (apart @ [-t[1], t[0]]) ** 2 + external.along * (apart @ t) ** 2
-            h = external.soft
-            total += external.weight[row, c, edge, k] * 2 * h * h * (np.sqrt(1 + square / h**2) - 1)
-    return NU_BACK * total
-
-
-def on_device(number: Number, external: AssignedPoints, rows: np.ndarray, coarse: float = 0.0) -> np.ndarray:
-    rows = np.column_stack([rows, np.full(len(rows), coarse)])
-    return edge_kernel(number, AssignedPoints)(rows, external.numbers(), external.field())
+    share, tangent = (np.arange(PLACES)[:, None] + 0.5) / PLACES, external.tangent[row, :, edge]
+    apart = external.rig.project(start + share * (end - start)) - external.points[row, :, edge]
+    across, along = (np.sum(apart * way, axis=-1) for way in (normal_to(tangent), tangent))
+    root = np.sqrt(1 + (across**2 + external.along * along**2) / external.soft**2)
+    return 2 * NU_BACK * external.soft**2 * np.sum(external.weight[row, :, edge] * (root - 1))
 
 
 def edges(rng) -> np.ndarray:
-    """(N, 9) row, edge, ν, start and end of edges near the origin."""
-    count = 24
-    start = rng.normal(0, 2.0, (count, 3))
-    return np.column_stack([rng.integers(0, ROWS, count), rng.integers(0, EDGES, count), np.full(count, NU_BACK), start,
-                            start + rng.normal(0, 2.0, (count, 3))])
+    """(24, 9) row, edge, ν, start and end of edges near the origin."""
+    start, along = rng.normal(0, 2.0, (2, 24, 3))
+    return np.column_stack([rng.integers(0, ROWS, 24), rng.integers(0, EDGES, 24), np.full(24, NU_BACK), start, start + along])
 
 
 @pytest.mark.sampled(1)
 @every_number
 def test_e_back_and_its_gradient_are_those_of_the_formula(number, assigned, rng):
     rows = edges(rng)
-    found = on_device(number, assigned, rows)
-    tolerance = 1e-9 if number.bits == 64 else 2e-3
-    for one, row in zip(found, rows, strict=True):
-        at, start, end = (int(row[0]), int(row[1])), row[3:6], row[6:9]
-        scale = 1 + abs(formula(assigned, *at, start, end))
-        assert abs(one[0] - formula(assigned, *at, start, end)) < max(tolerance, 1e-5) * scale
-        if number.bits == 64:
-            for axis in range(3):
-                step = 1e-5 * np.eye(3)[axis]
-                shifted = formula(assigned, *at, start + step, end + step) - formula(assigned, *at, start - step, end - step)
-                stretched = formula(assigned, *at, start, end + step) - formula(assigned, *at, start, end - step)
-                assert one[1 + axis] == pytest.approx(shifted / 2e-5, abs=1e-5 * scale)
-                assert one[4 + axis] == pytest.approx(stretched / 2e-5, abs=1e-5 * scale)
+    for row, energy, *slopes in zip(rows, *on_device(number, assigned, rows)[:3]):
+        def at(shift, stretch=0.0, row=row):
+            return formula(assigned, int(row[0]), int(row[1]), row[3:6] + shift, row[6:] + shift + stretch)
+
+        scale = 1 + abs(at(0.0))
+        assert abs(energy - at(0.0)) < (1e-5 if number.bits == 64 else 2e-3) * scale
+        for axis, step in enumerate(1e-5 * np.eye(3) if number.bits == 64 else ()):
+            for slope, move in zip(slopes, ((step, 0.0), (0.0, step))):
+                above, below = (at(*(sign * part for part in move)) for sign in (1, -1))
+                assert slope[axis] == pytest.approx((above - below) / 2e-5, abs=1e-5 * scale)
 
 
 @pytest.mark.thorough
 def test_curvature_of_e_back_is_that_of_finite_differences(assigned, rng):
-    number, rows, step = Number(1, 64), edges(rng), 1e-5
-    now = on_device(number, assigned, rows)
+    rows = edges(rng)
+    _, _, _, k, n, m = on_device(NUMBERS[0], assigned, rows)
     for axis in range(3):
-        both, only = np.zeros((2, 10))
-        both[[3 + axis, 6 + axis]], only[6 + axis] = step, step
-        shifted, stretched = ((on_device(number, assigned, rows + move[:9]) - on_device(number, assigned, rows - move[:9]))
-                              / (2 * step) for move in (both, only))
-        scale = np.abs(now[:, 7:13]).max(axis=1, keepdims=True)
-        assert (np.abs(now[:, 7:13][:, SYMMETRIC[axis]] - shifted[:, 1:4]) < 1e-5 * scale).all()
-        assert (np.abs(now[:, 13:22].reshape(-1, 3, 3)[:, axis] - shifted[:, 4:7]) < 1e-5 * scale).all()
-        assert (np.abs(now[:, 22:28][:, SYMMETRIC[axis]] - stretched[:, 4:7]) < 1e-5 * scale).all()
+        both, only = np.zeros((2, 9))
+        both[[3 + axis, 6 + axis]] = only[6 + axis] = 1e-5
+        slopes = [[on_device(NUMBERS[0], assigned, rows + sign * move)[1:3] for sign in (1, -1)] for move in (both, only)]
+        (by_start, by_both), (_, by_stretch) = [(np.array(above) - below) / 2e-5 for above, below in slopes]
+        for found, wanted in ((k, by_start), (n, by_both), (m, by_stretch)):
+            assert (np.abs(found[:, axis] - wanted) < 1e-5 * np.abs(k).max(axis=(1, 2))[:, None]).all()
 
 
 def test_coarse_curvature_of_e_back_is_positive_semidefinite(assigned, rng):
-    found = on_device(Number(1, 64), assigned, edges(rng), coarse=1.0)
-    k, ks, kss = found[:, 7:13], found[:, 13:22].reshape(-1, 3, 3), found[:, 22:28]
-    values = np.linalg.eigvalsh(np.block([[k[:, SYMMETRIC], ks], [np.swapaxes(ks, 1, 2), kss[:, SYMMETRIC]]]))
+    _, _, _, k, n, m = on_device(NUMBERS[0], assigned, edges(rng), coarse=1.0)
+    values = np.linalg.eigvalsh(np.block([[k, n], [n.transpose(0, 2, 1), m]]))
     assert (values[:, 0] > -1e-9 * values[:, -1]).all()
 
 

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from doo_ti.vision.cameras import POSES, Camera, Rig, RigReading
+from doo_ti.vision.cameras import POSES, Rig, RigReading
 from doo_ti.vision.rig_files import load_rig, rational_of_fisheye, save_rig
 from tests.conftest import check_refused
 from tests.vision.boards import around
@@ -43,8 +43,7 @@ def test_projection_is_opencv_s():
     (lambda text: "[" * 100_000, "not a rig")])
 def test_a_bad_file_is_refused(tmp_path, spoil, word):
     save_rig(tmp_path / "rig.yaml", around())
-    text = (tmp_path / "rig.yaml").read_text()
-    (tmp_path / "bad.yaml").write_text(spoil(text))
+    (tmp_path / "bad.yaml").write_text(spoil((tmp_path / "rig.yaml").read_text()))
     check_refused(word, load_rig, tmp_path / "bad.yaml")
 
 
@@ -71,42 +70,48 @@ def points(count=200) -> np.ndarray:
     return np.random.default_rng(4).uniform((-200, -150, 250), (200, 150, 500), (count, 3))
 
 
-def stereo(path, names=("K", "D", "R", "T"), size=True, coefficients=(-0.2, 0.05, 1e-3, -5e-4, 0.01)) -> None:
+def projected(coefficients, turn=np.zeros(3), shift=np.zeros(3), matrix=MATRIX, lens=cv2) -> np.ndarray:
+    """(N, 2) px of ``points()`` by OpenCV, or by its module of another ``lens``."""
+    return lens.projectPoints(points()[:, None], turn, shift, matrix, np.array(coefficients))[0].reshape(-1, 2)
+
+
+def stereo(path, matrix="K", distortion="D", size=True, coefficients=(-0.2, 0.05, 1e-3, -5e-4, 0.01)) -> None:
     storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_WRITE)
-    for number in (1, 2):
-        storage.write(f"{names[0]}{number}", MATRIX)
-        storage.write(f"{names[1]}{number}", np.array([coefficients]))
-    storage.write(names[2], TURN)
-    storage.write(names[3], SHIFT.reshape(3, 1))
+    for name, value in ((matrix, MATRIX), (distortion, np.array([coefficients]))):
+        storage.write(f"{name}1", value)
+        storage.write(f"{name}2", value)
+    storage.write("R", TURN)
+    storage.write("T", SHIFT.reshape(3, 1))
     if size:
         storage.write("image_width", SIZE[0])
         storage.write("image_height", SIZE[1])
     storage.release()
 
 
-@pytest.mark.parametrize("names, coefficients", [
-    (("K", "D", "R", "T"), (-0.2, 0.05, 1e-3, -5e-4, 0.01)), (("cameraMatrix", "distCoeffs", "R", "T"), (0.1, 0.1, 0.1, 0.1)),
-    (("M", "D", "R", "T"), (-0.1, 0.02, 1e-3, 0, 0.01, 0.05, -0.01, 0.002))])
-def test_opencv_s_stereo_files(tmp_path, names, coefficients):
-    stereo(tmp_path / "stereo.yml", names, coefficients=coefficients)
+@pytest.mark.parametrize("matrix, distortion, coefficients", [
+    ("K", "D", (-0.2, 0.05, 1e-3, -5e-4, 0.01)), ("cameraMatrix", "distCoeffs", (0.1, 0.1, 0.1, 0.1)),
+    ("M", "D", (-0.1, 0.02, 1e-3, 0, 0.01, 0.05, -0.01, 0.002))])
+def test_opencv_s_stereo_files(tmp_path, matrix, distortion, coefficients):
+    stereo(tmp_path / "stereo.yml", matrix, distortion, coefficients=coefficients)
     found = load_rig(tmp_path / "stereo.yml")
     for camera, turn, shift in zip(found.cameras, (np.eye(3), TURN), (np.zeros(3), SHIFT)):
-        wanted = cv2.projectPoints(points(), cv2.Rodrigues(turn)[0], shift, MATRIX, np.array(coefficients))[0][:, 0]
+        wanted = projected(coefficients, cv2.Rodrigues(turn)[0], shift)
         np.testing.assert_allclose(camera.project(points()), wanted, atol=1e-8)
     save_rig(tmp_path / "rig.yaml", found)
     np.testing.assert_array_equal(load_rig(tmp_path / "rig.yaml").project(points()), found.project(points()))
 
 
-def test_the_size_may_be_given_and_extrinsics_lie_beside(tmp_path):
+def test_size_and_unit_may_be_given_and_extrinsics_lie_beside(tmp_path):
     stereo(tmp_path / "whole.yml", size=False)
     check_refused("--image-size", load_rig, tmp_path / "whole.yml")
-    head, body = (tmp_path / "whole.yml").read_text().split("---\n")
-    at = body.index("R: ")
-    (tmp_path / "intrinsics.yml").write_text(f"{head}---\n{body[:at]}")
-    (tmp_path / "extrinsics.yml").write_text(f"{head}---\n{body[at:]}")
-    found = load_rig(tmp_path / "intrinsics.yml", RigReading(unit="m", size=SIZE))
-    np.testing.assert_allclose(found.cameras[1].translation, 1000 * SHIFT)
-    assert (found.cameras[0].width, found.cameras[0].height) == SIZE
+    intrinsics, _, extrinsics = (tmp_path / "whole.yml").read_text().partition("R: ")
+    (tmp_path / "intrinsics.yml").write_text(intrinsics)
+    (tmp_path / "extrinsics.yml").write_text(f"{intrinsics.partition('---')[0]}---\nR: {extrinsics}")
+    for unit, mm in (("m", 1000), (37.5, 37.5)):
+        found = load_rig(tmp_path / "intrinsics.yml", RigReading(unit=unit, size=SIZE))
+        np.testing.assert_allclose(found.cameras[1].translation, mm * SHIFT)
+        assert (found.cameras[0].width, found.cameras[0].height) == SIZE
+    check_refused("unit", RigReading, unit=0.0)
 
 
 @pytest.mark.parametrize("kind", ["!!opencv-matrix", ""])
@@ -119,17 +124,9 @@ def test_one_camera_of_opencv_or_ros(tmp_path, kind):
         "distortion_coefficients", 5, (0.1, -0.02, 1e-3, 0.0, 0.01))
     (tmp_path / "camera.yml").write_text(text if kind else text.partition("---")[2].replace("   dt: d\n", ""))
     (camera,) = load_rig(tmp_path / "camera.yml").cameras
-    wanted = cv2.projectPoints(points(), np.zeros(3), np.zeros(3), MATRIX, np.array([0.1, -0.02, 1e-3, 0.0, 0.01]))[0][:, 0]
-    np.testing.assert_allclose(camera.project(points()), wanted, atol=1e-8)
+    np.testing.assert_allclose(camera.project(points()), projected((0.1, -0.02, 1e-3, 0.0, 0.01)), atol=1e-8)
     (tmp_path / "bad.yml").write_text(text.replace("rows: 3", "rows: 4"))
     check_refused("camera_matrix|K|matrix", load_rig, tmp_path / "bad.yml")
-
-
-def test_a_unit_may_be_stated_in_mm(tmp_path):
-    stereo(tmp_path / "stereo.yml")
-    shift = load_rig(tmp_path / "stereo.yml", RigReading(unit=37.5)).cameras[1].translation
-    np.testing.assert_allclose(shift, 37.5 * SHIFT)
-    check_refused("unit", RigReading, unit=0.0)
 
 
 FISHEYE = (0.02, 0.01, -0.003, 0.0005)
@@ -166,15 +163,12 @@ def test_colmap_s_text(tmp_path, model):
     colmap(tmp_path, model)
     found = load_rig(tmp_path)
     assert found.names == ("left", "right view") == load_rig(tmp_path / "images.txt").names
-    turn, shift = 0.2 * np.array([0.6, 0.8, 0]), np.array([-60.0, 3, 5])
     matrix = MATRIX.copy()
     if LENSES[model][0].startswith("610 633"):
         matrix[1, 1] = 610
-    if model.endswith("FISHEYE"):
-        wanted = cv2.fisheye.projectPoints(points()[None], turn, shift, matrix, np.array(FISHEYE))[0][0]
-    else:
-        wanted = cv2.projectPoints(points(), turn, shift, matrix, np.array(LENSES[model][1]))[0][:, 0]
-    np.testing.assert_allclose(found.cameras[1].project(points()), wanted, atol=0.2 if model.endswith("FISHEYE") else 1e-8)
+    lens, atol = (cv2.fisheye, 0.2) if model.endswith("FISHEYE") else (cv2, 1e-8)
+    wanted = projected(LENSES[model][1], 0.2 * np.array([0.6, 0.8, 0]), SHIFT, matrix, lens)
+    np.testing.assert_allclose(found.cameras[1].project(points()), wanted, atol=atol)
 
 
 @pytest.mark.parametrize("file, old, new", [
@@ -193,8 +187,8 @@ def test_damaged_models_are_refused_in_one_line(tmp_path, file, old, new):
 @pytest.mark.parametrize("spoil", [
     lambda text: text.replace("R: ", "Q: "), lambda text: text.replace("K2", "L2"), lambda text: text.replace("610.", "-610."),
     lambda text: text.replace("image_width: 1280", "image_width: [1, 2]"), lambda text: text[: len(text) // 2],
-    lambda text: text.replace("D1: ", "D1: 3\nE: "), lambda text: "[]", lambda text: text.replace("cols: 5", "cols: 500000000"),
-])
+    lambda text: text.replace("D1: ", "D1: 3\nE: "), lambda text: "[]",
+    lambda text: text.replace("cols: 5", "cols: 500000000")])
 def test_damaged_stereo_files_are_refused_in_one_line(tmp_path, spoil):
     stereo(tmp_path / "stereo.yml")
     (tmp_path / "stereo.yml").write_text(spoil((tmp_path / "stereo.yml").read_text()))
@@ -211,12 +205,9 @@ MEANT = {
 @pytest.mark.parametrize("unit", ["mm", "m"])
 @pytest.mark.parametrize("poses", POSES)
 def test_other_poses_and_units_are_read_and_recognised(tmp_path, poses, unit):
-    cameras = []
-    for camera in around().cameras:
-        turn, shift = MEANT[poses](camera)
-        cameras.append(Camera(camera.name, camera.width, camera.height, camera.matrix, camera.distortion, turn,
-                              shift / (1000 if unit == "m" else 1)))
-    save_rig(tmp_path / "rig.yaml", Rig(tuple(cameras)))
+    meant = [(camera, *MEANT[poses](camera)) for camera in around().cameras]
+    save_rig(tmp_path / "rig.yaml", Rig(tuple(
+        replace(camera, rotation=turn, translation=shift / (1000 if unit == "m" else 1)) for camera, turn, shift in meant)))
     seen = np.array([[20.0, 10, 0], [25, 12, 3], [-20, 8, -4], [2, -15, 9]])
     found = load_rig(tmp_path / "rig.yaml", RigReading(unit, poses))
     np.testing.assert_allclose(found.project(seen), around().project(seen), atol=1e-8)
