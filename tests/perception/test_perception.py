@@ -12,7 +12,6 @@ from doo_ti.perception import search
 from doo_ti.perception.growth import rank_distinct, sampled_directions, select_hypotheses, suppress_similar
 from doo_ti.perception.perceive import Perception, PerceptionVerdict, perceive
 from doo_ti.perception.posterior import bending_hessian, vertex_sigma
-from doo_ti.perception.search import PerceptionOptions
 from doo_ti.perception.tracking import TrackingOptions
 from doo_ti.rod.frames import arc_lengths, placed, unit_vectors
 from doo_ti.vision.images import load_sets, read_image

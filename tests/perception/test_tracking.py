@@ -7,10 +7,9 @@ import numpy as np
 import pytest
 
 import doo_ti as d
-from doo_ti import How, PerceptionVerdict, TrackedFrame, Tracker, TrackingOptions, seen_vertices
+from doo_ti import How, PerceptionVerdict, TrackedFrame, Tracker, seen_vertices
 from doo_ti.motion.path import Motion, motion_between
 from doo_ti.perception.search import PerceptionOptions, Search
-from doo_ti.perception.tracking import How, TrackedFrame, Tracker, seen_vertices
 from doo_ti.rod.frames import across, matrix_from_quaternion, quaternion_about, unit_vectors
 from doo_ti.vision.render import render_set
 from doo_ti.vision.tubes import smooth_curve

@@ -3,6 +3,8 @@
 import cv2
 import numpy as np
 import pytest
+from scipy.interpolate import CubicSpline
+from scipy.ndimage import map_coordinates
 from scipy.spatial import cKDTree
 
 from doo_ti import DetectionOptions, detect, load_rig
