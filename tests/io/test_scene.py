@@ -74,48 +74,29 @@ def test_an_anisotropic_scene(tmp_path):
     assert scene.grid.bend_12 == -1e6 and scene.observations.frames
 
 
-def synthesis(line: str) -> dict:
-    return {"data": GOOD["data"] + line + "\n"}
+RECIPE = "[synthesis]\nbend = {}\ntwist = {}\n"
 
 
-WRONG = {
-    "no TOML": ({"top": "name = silk\n"}, "file"),
-    "TOML without end": ({"top": f"x={'[' * 20_000}"}, "file"),
-    "a name that leads elsewhere": ({"top": 'name = "../../x"\n'}, "name"),
-    "a name that is none": ({"top": 'name = "a\\u0000b"\n'}, "name"),
-    "unknown key": ({"top": "colour = 3\n"}, "colour"),
-    "unknown grid key": ({"grid": "[grid]\nbend = 3\nstretch = 3\n"}, "grid.stretch"),
-    "no data": ({"data": ""}, "observations"),
-    "twice data": ({"data": GOOD["data"] + '[observations]\nfile = "x.npz"\n'}, "observations"),
-    "no file": ({"data": "[observations]\n"}, "observations.file"),
-    "no grid": ({"grid": ""}, "grid"),
-    "grid of zero cells": ({"grid": '[grid]\nbend = "1e5:1e6:0"\n'}, "bend"),
-    "grid without bend": ({"grid": "[grid]\ntwist = 3\n"}, "bend"),
-    "axis no number": ({"grid": "[grid]\nbend = [1, 2]\n"}, "grid.bend"),
-    "clamp": ({"top": 'clamp_start = "glued"\n'}, "clamp_start"),
-    "objective": ({"top": 'objective = "both"\n'}, "objective"),
-    "pairs of a static scene": ({"top": 'pairs = "pairs.csv"\n'}, "pairs"),
-    "spins negative": ({"top": "spins = -1\n"}, "spins"),
-    "precision": ({"top": "precision = 64\n"}, "precision"),
-    "frame weight": ({"top": "frame_weight_mm = -1\n"}, "frame_weight_mm"),
-    "no twist": ({"data": "[synthesis]\nbend = 1e5\n"}, "synthesis.twist"),
-    "bend not definite": ({"data": "[synthesis]\nbend = [[1, 2], [2, 1]]\ntwist = 1\n"}, "synthesis.bend"),
-    "bend asymmetric": ({"data": "[synthesis]\nbend = [[1, 0.5], [0, 1]]\ntwist = 1\n"}, "synthesis.bend"),
-    "bend ragged": ({"data": "[synthesis]\nbend = [[1], [2, 3]]\ntwist = 1\n"}, "synthesis.bend"),
-    "twist negative": ({"data": "[synthesis]\nbend = 1\ntwist = -1\n"}, "synthesis.twist"),
-    "bend not a number": ({"data": "[synthesis]\nbend = nan\ntwist = 1\n"}, "synthesis.bend"),
-} | {line: (synthesis(line), f"synthesis.{line.split(' = ')[0]}") for line in (
-    "stretch = 3", "seed = -1", "marks = 2", "marks = 30", f"marks = {'9' * 400}", "clip_mm = 2.5", "clip_mm = 50",
-    "clip_mm = [3, 2.5]", "clip_mm = nan", "clip_mm = [3, 3, 3]", "clip_mm = [0, 3]", "rest_curvature_range_mm = 100",
-    "clip_tilt_deg = 180", "clip_offset_mm = nan", "end_distances_mm = [30, 120]", "end_distances_mm = []",
-    "end_rotations_deg = [0, 0]", "end_rotations_deg = [1e18]", "start_direction = [0, 0, 0]")}
-
-
-@pytest.mark.parametrize("case", WRONG)
-def test_wrong_scenes_are_named(tmp_path, case):
-    parts, field = WRONG[case]
-    path = write(tmp_path, **parts)
-    remedy = "; .*label_noise_mm" if case == "stretch = 3" else ""
+@pytest.mark.parametrize("part, text, field", [
+    ("top", "name = silk\n", "file"), ("top", f"x={'[' * 20_000}", "file"), ("top", 'name = "../../x"\n', "name"),
+    ("top", 'name = "a\\u0000b"\n', "name"), ("top", "colour = 3\n", "colour"), ("data", "", "observations"),
+    ("grid", "[grid]\nbend = 3\nstretch = 3\n", "grid.stretch"), ("data", "[observations]\n", "observations.file"),
+    ("data", GOOD["data"] + '[observations]\nfile = "x.npz"\n', "observations"), ("grid", "", "grid"),
+    ("grid", '[grid]\nbend = "1e5:1e6:0"\n', "bend"), ("grid", "[grid]\ntwist = 3\n", "bend"),
+    ("grid", "[grid]\nbend = [1, 2]\n", "grid.bend"), ("top", 'clamp_start = "glued"\n', "clamp_start"),
+    ("top", 'objective = "both"\n', "objective"), ("top", 'pairs = "pairs.csv"\n', "pairs"), ("top", "spins = -1\n", "spins"),
+    ("top", "precision = 64\n", "precision"), ("top", "frame_weight_mm = -1\n", "frame_weight_mm"),
+    ("data", "[synthesis]\nbend = 1e5\n", "synthesis.twist"), ("data", RECIPE.format(1, -1), "synthesis.twist"),
+    *(("data", RECIPE.format(bend, 1), "synthesis.bend") for bend in (
+        "[[1, 2], [2, 1]]", "[[1, 0.5], [0, 1]]", "[[1], [2, 3]]", "nan")),
+    *(("data", f"{GOOD['data']}{line}\n", f"synthesis.{line.split(' = ')[0]}") for line in (
+        "stretch = 3", "seed = -1", "marks = 2", "marks = 30", f"marks = {'9' * 400}", "clip_mm = 2.5", "clip_mm = 50",
+        "clip_mm = [3, 2.5]", "clip_mm = nan", "clip_mm = [3, 3, 3]", "clip_mm = [0, 3]", "rest_curvature_range_mm = 100",
+        "clip_tilt_deg = 180", "clip_offset_mm = nan", "end_distances_mm = [30, 120]", "end_distances_mm = []",
+        "end_rotations_deg = [0, 0]", "end_rotations_deg = [1e18]", "start_direction = [0, 0, 0]"))])
+def test_wrong_scenes_are_named(tmp_path, part, text, field):
+    path = write(tmp_path, **{part: text})
+    remedy = "; .*label_noise_mm" if field == "synthesis.stretch" else ""
     check_refused("^" + re.escape(f"{path}: {field}: ") + f".*{remedy}", load_scene, path)
 
 
