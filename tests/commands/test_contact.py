@@ -27,8 +27,7 @@ THIN = 'obstacles = [{ kind = "cylinder", start = [9, -40, -9], end = [9, 40, -9
 
 def test_doubts_about_obstacles_are_said():
     """Marks inside one, and edges that cannot lie on it."""
-    marks = np.stack([np.linspace(0.0, 100.0, 6), np.zeros(6), np.full(6, 3.0)], axis=1)[None]
-    seen = Observations(marks, labels=["low"])
+    seen = Observations(np.stack([np.linspace(0.0, 100.0, 6), np.zeros(6), np.full(6, 3.0)], axis=1)[None], labels=["low"])
     beside = Surroundings([Cylinder((50, -40, -9), (50, 40, -9), 4.0)], 1.0)
     assert inside_doubt(seen, beside) is None and "edges of 20 mm are too long" in mesh_doubt(seen.rest_length, beside)
     assert inside_doubt(seen, Surroundings([Cylinder((40, -40, 0), (40, 40, 0), 10.0)], 1.0)).startswith(

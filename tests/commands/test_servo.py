@@ -85,8 +85,7 @@ def test_the_target_is_reached_though_a_camera_is_covered_now_and_then(folder, c
 
 @pytest.mark.thorough
 def test_with_every_camera_covered_the_rod_moves_as_the_model_says(folder, capsys):
-    words = f"{SERVO} --occlude front:1 --occlude beside:1 --steps 4 --no-recording --json"
-    said = json.loads(succeeded(capsys, words))
+    said = json.loads(succeeded(capsys, f"{SERVO} --occlude front:1 --occlude beside:1 --steps 4 --no-recording --json"))
     assert said["frames"]["lost"] == said["steps"] and said["EI"]["value"] == pytest.approx(EI)
 
 

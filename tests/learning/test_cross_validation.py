@@ -239,8 +239,7 @@ def test_hypotheses_are_not_resolved_by_such_a_cell():
     """In the first cell the second hypothesis is right, in the other one, where rods stalled, the first."""
     hypotheses = Hypotheses(np.array([0, 0, 1]), np.array([0, 1, 0]))
     distance = np.array([[3.0, 1.0, 1.0], [0.1, 3.0, 0.1]])
-    sound = np.array([[True, True, True], [False, False, False]])
-    chosen, ambiguous = resolved(distance, sound, np.ones(2), hypotheses)
+    chosen, ambiguous = resolved(distance, np.array([[True, True, True], [False, False, False]]), np.ones(2), hypotheses)
     assert chosen[0].tolist() == [1, 2] and not ambiguous.any()
 
 

@@ -45,8 +45,7 @@ def recovered(seen, length: float = LENGTH_MM, evidence: str = "both"):
     rig, curves, detections = seen
     start = np.array([points[0] for points in curves])
     direction = np.array([points[60] - points[0] for points in curves])
-    rest_length = np.full(EDGES, length / EDGES)
-    return d.perceive(d.distance_maps(detections), rig, start, direction, rest_length, MATERIAL, up=UP,
+    return d.perceive(d.distance_maps(detections), rig, start, direction, np.full(EDGES, length / EDGES), MATERIAL, up=UP,
                     options=d.PerceptionOptions(evidence=evidence))
 
 

@@ -89,8 +89,7 @@ def test_a_lost_frame_is_followed_back_from_the_next(video):
     seed = rods()[0, 0], rods()[0, 1] - rods()[0, 0]
     assert found[0].verdict == PerceptionVerdict.CLEAR and found[1].verdict <= PerceptionVerdict.LIKELY
     lost = Tracker(three_cameras(), REST_LENGTH, MATERIAL).see([NOTHING] * 3, *seed)
-    other = replace(found[0], vertices=found[0].vertices[:, [1, 0, 2]], energy_vis=1e3 * found[0].energy_vis)
-    for frame in (lost, other):
+    for frame in (lost, replace(found[0], vertices=found[0].vertices[:, [1, 0, 2]], energy_vis=1e3 * found[0].energy_vis)):
         again = tracker.revised(frame, found[1], video[0], *seed)
         assert again.how == How.TRACKED and np.linalg.norm(again.vertices - rods()[0], axis=-1).max() < 0.3
     assert tracker.revised(found[0], lost, video[0], *seed) is found[0]

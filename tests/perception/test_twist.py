@@ -102,8 +102,7 @@ def test_a_rod_that_does_not_feel_twist_is_ambiguous(made):
     """Nearly straight and much stiffer in bend than in twist: every angle fits."""
     straight = chain(np.tile([1.0, 0, 0], (EDGES, 1)), [0, 1, 0], 3.0)
     tilt = np.linspace(0, 0.2, EDGES + 1)[:, None] * [0, 0, 1]
-    seen = Observations(straight.vertices + tilt, rest_length=np.full(EDGES, 3.01))
-    estimate = estimate_twist(seen, Material(1e7, 1e4))
+    estimate = estimate_twist(Observations(straight.vertices + tilt, rest_length=np.full(EDGES, 3.01)), Material(1e7, 1e4))
     assert estimate.verdict[0] in (TwistVerdict.AMBIGUOUS, TwistVerdict.AT_BORDER)
     assert estimate.high[0] - estimate.low[0] > np.pi
 

@@ -87,8 +87,7 @@ def test_a_rod_that_is_nan_is_not_drawn_and_keeps_its_place(tmp_path, rng):
     rods.status[[2, 3]] = Status.NOT_FINITE, Status.INFEASIBLE
     run["observed"].vertices[1, 4] = np.nan
     static, moving = written(tmp_path, run)
-    strips = moving["/world/rods"]["iteration"]["LineStrips3D:strips"]
-    counts = np.array([[len(strip) for strip in row] for row in strips])
+    counts = np.array([[len(strip) for strip in row] for row in moving["/world/rods"]["iteration"]["LineStrips3D:strips"]])
     expected = np.full(counts.shape, runs.VERTICES)
     expected[4:, 2], expected[:, 3] = 0, 0
     np.testing.assert_array_equal(counts, expected)

@@ -75,8 +75,7 @@ def test_bend_alone_from_a_sweep_holds_the_truth(marks, tmp_path):
 def is_minimum(shape: np.ndarray) -> bool:
     seen = Observations(across(shape, 0.0)[None])
     clamps = observation_clamps(seen)
-    material = Material.from_physical(SOFT, SOFT, GRAMS_PER_METRE * 9.81e-3)
-    rest = relax(start_configuration(seen, clamps), material, clamps)
+    rest = relax(start_configuration(seen, clamps), Material.from_physical(SOFT, SOFT, GRAMS_PER_METRE * 9.81e-3), clamps)
     return bool(rest.stable[0] and np.abs(rest.configuration.vertices[0, :, ::2] - shape).max() < 10.0)
 
 

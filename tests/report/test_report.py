@@ -230,8 +230,7 @@ def test_flat_rods_are_shown_from_above(tmp_path, monkeypatch, height, view, up)
     shown = []
     monkeypatch.setattr("doo_ti.report.motions.literal", lambda text: shown.append(text) or text)
     s, shifts = np.linspace(0, np.pi, 12), np.linspace(0, 20, 5)[None, :, None]
-    across = 60 * np.sin(s) + shifts
-    curve = np.stack([100 * np.cos(s) + 0 * shifts, across, height * np.sin(3 * s) + 0 * shifts], axis=-1)
+    curve = np.stack([100 * np.cos(s) + 0 * shifts, 60 * np.sin(s) + shifts, height * np.sin(3 * s) + 0 * shifts], axis=-1)
     rods = curve if up[2] else curve[..., [0, 2, 1]]
     save_rollout(tmp_path / "f.png", "rods", ["a"], rods, None, 10.0, np.array(up))
     assert any(f"seen {view}" in text for text in shown)

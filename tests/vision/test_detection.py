@@ -21,8 +21,7 @@ LINE = smooth_curve(bow(), 20)
 def errors(options: RenderOptions, diameter: float, detection: DetectionOptions = DetectionOptions()):
     """Errors, completeness and false points over the small rig's images, and the last detection."""
     found = [detect(image, detection) for image in render_set(small_rig(), bow(), diameter, options, 7)]
-    parts = [against(one, camera.project(LINE)) for one, camera in zip(found, small_rig().cameras)]
-    error, complete, false = zip(*parts)
+    error, complete, false = zip(*[against(one, camera.project(LINE)) for one, camera in zip(found, small_rig().cameras)])
     return np.concatenate(error), min(complete), max(false), found[-1]
 
 
@@ -102,8 +101,7 @@ def test_images_in_files(laboratory):
     parts = []
     for name, curve in zip(truth["names"][::3], smooth_curve(truth["vertices_mm"], 20)[::3], strict=True):
         for camera in rig.cameras:
-            found = detect(read_image(folder / f"{name}_{camera.name}.jpg", camera))
-            parts.append(against(found, camera.project(curve)))
+            parts.append(against(detect(read_image(folder / f"{name}_{camera.name}.jpg", camera)), camera.project(curve)))
     error = np.concatenate([part[0] for part in parts])
     assert abs(error.mean()) < 0.01 and np.median(np.abs(error)) < 0.05 and np.quantile(np.abs(error), 0.95) < 0.1
     assert min(part[1] for part in parts) > 0.98 and max(part[2] for part in parts) < 0.01
@@ -156,8 +154,7 @@ def test_the_nearer_strand_covers_the_farther():
     for tubes in ([Tube(near, 2.0, 10.0), Tube(far, 2.0, 90.0)], [Tube(far, 2.0, 90.0), Tube(near, 2.0, 10.0)]):
         assert draw(camera, tubes, np.full((360, 480), 200.0), UP, 0.0)[pixel] == pytest.approx(10.0)
     loop = np.concatenate([near, [(near[-1] + far[-1]) / 2 + 30 * run + 30 * other], far[::-1]])
-    one = draw(camera, [Tube(loop, 2.0, np.linspace(10, 90, len(loop)))], np.full((360, 480), 200.0), UP, 0.0)
-    assert one[pixel] < 40
+    assert draw(camera, [Tube(loop, 2.0, np.linspace(10, 90, len(loop)))], np.full((360, 480), 200.0), UP, 0.0)[pixel] < 40
 
 
 def test_the_lit_side_is_brighter():

@@ -52,8 +52,7 @@ def test_a_striped_thread_is_followed_at_its_middle_past_others():
     assert np.median(cKDTree(curve).query(found.points)[0]) < 0.6 and found.width_px == pytest.approx(11, abs=2.5)
     assert np.linalg.norm(np.diff(found.points, axis=0), axis=1).max() < 1.6  # in order
     assert (found.strength == 0).any() and (found.strength == 0).mean() < 0.1  # where the other one lies on it
-    across = normals(curve)[cKDTree(curve).query(found.points)[1]]
-    assert np.median(np.abs((across * found.direction).sum(axis=1))) < 0.14
+    assert np.median(np.abs((normals(curve)[cKDTree(curve).query(found.points)[1]] * found.direction).sum(axis=1))) < 0.14
 
 
 @pytest.mark.thorough

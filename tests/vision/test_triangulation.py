@@ -201,8 +201,8 @@ def changed(row: int, place: int, value) -> list[tuple]:
 @pytest.mark.parametrize("rows, message", [
     (changed(3, 1, "cam9"), "camera: 'cam9' in line 5 .* cam0, cam1, cam2"),
     (changed(2, 3, "left"), "u_px: 'left' in line 4"), (changed(5, 3, 1200), "u_px: '1200' in line 7 .* cam1, 640 x 480"),
-    (changed(5, 4, -3), "v_px: '-3' in line 7"), (changed(0, 2, "x"), "mark: 'x' in line 2"),
-    ([*good_rows(), good_rows()[1]], "mark: '1' in line 14 is there twice .* cam0"), (changed(0, 2, -1), "mark: '-1' in line 2"),
+    (changed(5, 4, -3), "v_px: '-3' in line 7"), ([*good_rows(), good_rows()[1]], "'1' in line 14 is there twice .* cam0"),
+    (changed(0, 2, "x"), "mark: 'x' in line 2"), (changed(0, 2, -1), "mark: '-1' in line 2"),
     (changed(0, 2, "0L"), "mark: '1' in line 3"), ([row for row in good_rows() if row[2] != 2], "mark: 2 is missing"),
     ([(*row[:2], f"{row[2]}L", *row[3:]) for row in good_rows()], "mark: 0R is missing"),
     ([row for row in good_rows() if row[2] < 2], "2 marks"), (changed(4, 0, ""), "observation: '' in line 6"),
