@@ -101,8 +101,7 @@ def functions() -> dict[str, tuple[Callable, dict]]:
     rod, relaxed = {"rod": ROPE}, {"material": MATERIAL, "clamps": CLAMPS}
     moved, touching = {"configuration": ROPE, **relaxed}, {"obstacles": [o["Plane"], d.Itself()], "radius": 1.0}
     moving = {"start": ROPE, "material": MATERIAL, "grippers": o["Grippers"], "dynamics": o["Dynamics"], "stepping": STEPPING}
-    folder = Path(tempfile.gettempdir())
-    walk = {"point": rods[:, 0], "direction": rods[:, 1] - rods[:, 0]}
+    folder, walk = Path(tempfile.gettempdir()), {"point": rods[:, 0], "direction": rods[:, 1] - rods[:, 0]}
     derived = {"solution": solution(), "parameters": ("bend", "modes"), "modes": np.zeros((1, 11, 2))}
     grey = np.tile(np.arange(32.0), (32, 1))
     frame = d.TrackedFrame(rods[0], np.ones(7), 0.0, np.zeros(3), d.Status.CONVERGED, True, d.How.TRACKED)

@@ -47,8 +47,7 @@ def test_a_rig_from_images(pictures, tmp_path, capsys):
     found, content, middle = load_rig(out), out.read_bytes(), BOARD.points.mean(axis=0)
     assert found.names == RIG.names
     for camera, truth in zip(found.cameras, RIG.cameras):
-        assert (camera.width, camera.height) == (640, 480)
-        assert np.linalg.norm(camera.centre - truth.centre - middle) < 0.5
+        assert (camera.width, camera.height) == (640, 480) and np.linalg.norm(camera.centre - truth.centre - middle) < 0.5
     summary = json.loads(succeeded(capsys, f"{argv} --json"))
     assert out.read_bytes() == content and summary["rms_px"] < 0.3 and len(summary["images"]) == 11
     assert summary["without_board"] == [{"view": "view3", "camera": "cam0", "corners": 0, "rms_px": None}]
@@ -135,8 +134,7 @@ def test_a_ribbon_is_ready_to_be_relaxed(tmp_path, rng, capsys):
     found = load_observations("ribbon.csv")
     assert found.frames.shape == (4, 11, 3, 3) and found.sigma.shape == (4, 12)
     clamps = observation_clamps(found)
-    assert clamps.start == clamps.end == Clamp.FRAME
-    assert start_configuration(found, clamps).quaternions.shape == (4, 11, 4)
+    assert clamps.start == clamps.end == Clamp.FRAME and start_configuration(found, clamps).quaternions.shape == (4, 11, 4)
 
 
 def test_two_labels_that_contradict_each_other_are_reported(tmp_path, rng, capsys):

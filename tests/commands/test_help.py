@@ -47,8 +47,7 @@ def test_help_shows_what_matters_and_help_all_the_rest(command, capsys):
     for word in ("--help", "--help-all"):
         shown[word] = re.findall(r"^  (?:-h, )?(--[\w-]+)", succeeded(capsys, f"{command} {word}"), re.MULTILINE)
     assert set(shown["--help-all"]) - {"--help-all"} == set(names) - {"--help-all"}
-    assert {name for name, required in names.items() if required} <= set(shown["--help"])
-    assert len(shown["--help"]) <= 18
+    assert {name for name, required in names.items() if required} <= set(shown["--help"]) and len(shown["--help"]) <= 18
 
 
 @pytest.mark.parametrize(("argv", "meant"), [

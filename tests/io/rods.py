@@ -26,6 +26,5 @@ def joint_twist(quaternions: np.ndarray) -> np.ndarray:
     """(D, E−1) m_i = 2 atan2(q1, q0) of q = conj(Q_{i−1}) Q_i, written out, rad."""
     a, b = np.moveaxis(quaternions[:, :-1], -1, 0), np.moveaxis(quaternions[:, 1:], -1, 0)
     scalar = a[0] * b[0] + a[1] * b[1] + a[2] * b[2] + a[3] * b[3]
-    along = a[0] * b[1] - a[1] * b[0] - a[2] * b[3] + a[3] * b[2]
-    sign = np.where(scalar < 0, -1.0, 1.0)
+    along, sign = a[0] * b[1] - a[1] * b[0] - a[2] * b[3] + a[3] * b[2], np.where(scalar < 0, -1.0, 1.0)
     return 2 * np.arctan2(sign * along, sign * scalar)

@@ -54,18 +54,15 @@ def test_defaults(rng):
     observations = Observations(vertices)
     chords = np.median(np.linalg.norm(np.diff(vertices, axis=1), axis=-1), axis=0)
     np.testing.assert_allclose(observations.rest_length, chords)
-    assert observations.spacing_error == 0.1
-    assert observations.valid.all() and observations.valid.shape == vertices.shape[:2]
+    assert observations.spacing_error == 0.1 and observations.valid.all() and observations.valid.shape == vertices.shape[:2]
     np.testing.assert_array_equal(observations.up, [0, 0, 1])
     others = [name for name in KEYS if name not in ("vertices", "valid", "rest_length", "up", "labels", "spacing_error")]
-    assert observations.labels.tolist() == [0, 1, 2, 3, 4]
-    assert all(getattr(observations, name) is None for name in others)
+    assert observations.labels.tolist() == [0, 1, 2, 3, 4] and all(getattr(observations, name) is None for name in others)
 
 
 def test_default_rest_length_leaves_missing_marks_out(rng):
     vertices = wavy_vertices(rng, count=3)
-    expected = np.linalg.norm(np.diff(vertices[1:], axis=1), axis=-1)
-    valid = np.ones((3, 9), dtype=bool)
+    expected, valid = np.linalg.norm(np.diff(vertices[1:], axis=1), axis=-1), np.ones((3, 9), dtype=bool)
     valid[0, 4] = False
     vertices[0, 4] = np.nan
     np.testing.assert_allclose(Observations(vertices, valid).rest_length[3:5], np.median(expected[:, 3:5], axis=0))

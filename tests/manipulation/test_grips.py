@@ -44,8 +44,7 @@ def test_a_raised_middle_is_the_elastica_to_second_order():
         held = raised(edges)
         assert held.solution.converged.all() and held.solution.stable.all()
         half = held.parts[0]
-        tangents = half.configuration.frames[0, :, :, 0]
-        own = end_loads(half).end_force[0, [0, 2]] / IN_PLANE
+        tangents, own = half.configuration.frames[0, :, :, 0], end_loads(half).end_force[0, [0, 2]] / IN_PLANE
         force = 2 * IN_PLANE * elastica(np.arctan2(tangents[:, 2], tangents[:, 0]), own)[1]
         off.append(abs(held.grip_loads().force[0, 0, 2] / force - 1))
     assert off[-1] < 1e-3 and off[0] / off[1] > 3.5 and off[1] / off[2] > 3.5
@@ -141,8 +140,7 @@ def test_a_rod_takes_its_own_sub_steps_whatever_the_others_need():
     change[4] *= 6.0
     together, one = (Simulation(part.rods, part.nominal, part.clamps) for part in (own, alone))
     for _ in range(3):
-        state = together.step(moved(together.clamps, change))
-        mine = one.step(moved(one.clamps, change[[2]]))
+        state, mine = together.step(moved(together.clamps, change)), one.step(moved(one.clamps, change[[2]]))
         assert np.array_equal(state.configuration.quaternions[2], mine.configuration.quaternions[0])
         assert state.iterations[2] == mine.iterations[0] and state.energy[2] == mine.energy[0]
 

@@ -77,8 +77,7 @@ def test_intervals_hold_the_truth_where_contacts_move(table, factor):
 
 
 def test_no_step_is_longer_than_allowed_nor_moves_a_held_gripper():
-    own = tasks(4, 8, both=False)
-    options = d.ServoOptions(free=("end_shift", "end_turn"), step_mm=10.0)
+    own, options = tasks(4, 8, both=False), d.ServoOptions(free=("end_shift", "end_turn"), step_mm=10.0)
     servo = servo_of(own, options=options)
     random, simulation = np.random.default_rng(1), own.simulation()
     for _ in range(5):
@@ -223,8 +222,7 @@ def test_targets_out_of_reach_are_approached_and_said():
     asked[:, 0], asked[:, -1] = [0.0, 0, 0], [500.0, 0, 0]
     servo = servo_of(own, targets=d.Targets(asked))
     _, simulation = run(own, servo, 30)
-    assert simulation.state.converged.all()
-    assert np.isin(servo.status, (d.ServoStatus.NEAREST, d.ServoStatus.BLOCKED)).all()
+    assert simulation.state.converged.all() and np.isin(servo.status, (d.ServoStatus.NEAREST, d.ServoStatus.BLOCKED)).all()
     ends = simulation.state.configuration.vertices[:, [0, -1]]
     assert (np.linalg.norm(ends[:, 1] - ends[:, 0], axis=-1) > 280.0).all()
 

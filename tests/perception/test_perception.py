@@ -177,8 +177,7 @@ def test_distinct_rods_are_ranked():
 
 def test_a_certified_rod_ranks_before_a_better_one_that_is_none():
     """A rod that is no minimum may score best; it is a runner-up, or the answer where its set has no other."""
-    of_set = np.array([0, 0, 0, 1])
-    vertices = 100.0 * np.arange(4)[:, None, None] + np.zeros((4, 5, 3))
+    of_set, vertices = np.array([0, 0, 0, 1]), 100.0 * np.arange(4)[:, None, None] + np.zeros((4, 5, 3))
     vertices[1] = vertices[0] + 0.1
     energy, certified = np.array([1.0, 3.0, 2.0, 5.0]), np.array([False, True, True, False])
     ranked = rank_distinct(energy, vertices, of_set, 3, 1.0, certified)

@@ -58,8 +58,7 @@ def test_groups():
 
 def test_offsets_without_a_hint_follow_from_one_to_the_next(made):
     """Whole turns of end frames: each within half a turn of the one before it, the first of a group within half a turn."""
-    turns = np.radians([0.0, 100.0, 200.0, 300.0, 20.0])
-    known = replace(made.take([0] * 5), total_twist=None)
+    turns, known = np.radians([0.0, 100.0, 200.0, 300.0, 20.0]), replace(made.take([0] * 5), total_twist=None)
     first = end_offsets(known, np.zeros(5, dtype=int))[0]
     offset = end_offsets(replace(known, end_frame=known.end_frame @ about_tangent(turns)), np.array([0, 0, 0, 0, 1]))
     assert np.abs(first) <= np.pi

@@ -134,8 +134,7 @@ def test_landscape_picture_surface_and_cells(swept):
     assert points.shape == (evaluated, 3) and np.isfinite(points).all()
     triangles = np.array(surface["Mesh3D:triangle_indices"][0])
     assert triangles.shape == (2 * quads, 3) and triangles.max() == evaluated - 1
-    cells = moving["/landscape/cells"]["trial"]
-    missing = int(np.flatnonzero(np.isnan(landscape.reshape(-1)))[0])
+    cells, missing = moving["/landscape/cells"]["trial"], int(np.flatnonzero(np.isnan(landscape.reshape(-1)))[0])
     assert cells["trial"] == [trial for trial in range(runs.BENDS * runs.RATIOS) if trial != missing]
     places, values = np.array(cells["Points3D:positions"])[:, 0], landscape.reshape(-1)[cells["trial"]]
     np.testing.assert_allclose(places[:, 2], 0.6 * values / np.nanmax(landscape), rtol=1e-6)

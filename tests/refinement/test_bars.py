@@ -70,8 +70,7 @@ SEED = 9100  # of a suture that varies by 5 % (root mean square)
 
 @pytest.fixture(scope="module")
 def suture(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("suture")
-    recipe = drawn("suture", SEED, ("stiffness",), small=True)
+    folder, recipe = tmp_path_factory.mktemp("suture"), drawn("suture", SEED, ("stiffness",), small=True)
     specimen(recipe, folder)
     grid = ("--EI", GRIDS["suture"], "--twist-ratio", "0.25:4:5", "--linear-density", str(recipe.grams_per_metre))
     assert main(["sweep", str(folder / "marks.npz"), *grid, "--out", str(folder / "run")]) == 0

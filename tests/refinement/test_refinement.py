@@ -36,8 +36,7 @@ def fitted(seen: Observations, theta: Theta = BEGIN, **options):
 
 def own_mesh(rng, count: int = 12, edges: int = 14, bend: float = 3e4, **theta) -> tuple[Observations, Theta]:
     """Rods of the fit's own mesh, each clamped in the middle of its outer edges, without noise."""
-    rods = wandering(rng, count, edges, wander=0.12)
-    truth = Theta(bend * np.eye(2), 0.7 * bend, **theta)
+    rods, truth = wandering(rng, count, edges, wander=0.12), Theta(bend * np.eye(2), 0.7 * bend, **theta)
     return observed(relax(rods, truth.material, clamps_at(rods), up=truth.up).configuration), truth
 
 
@@ -197,8 +196,7 @@ def test_lowest_cells_are_those_no_neighbour_is_below():
 def test_folds_cut_no_group_apart():
     groups = np.array([4, 4, 4, 1, 1, 2, 9, 9, 9, 9])
     fold = folds_of(groups, 3)
-    assert all(len(set(fold[groups == group])) == 1 for group in groups)
-    assert sorted(np.bincount(fold).tolist()) == [3, 3, 4]
+    assert all(len(set(fold[groups == group])) == 1 for group in groups) and sorted(np.bincount(fold).tolist()) == [3, 3, 4]
     for count in (1, 5):
         check_refused("give 2 to 4 folds", folds_of, groups, count)
 
@@ -224,8 +222,7 @@ def test_a_fixed_twist_stiffness_bounds_bend_less_than_one_that_is_learned():
                       for names in (("bend",), ("bend", "twist")))
     assert holds(fixed.parameter("bend"), BEND) and holds(learned.parameter("bend"), BEND)
     assert fixed.parameter("bend").error == pytest.approx(learned.parameter("bend").error, rel=0.1)
-    assert fixed.parameter("bend").high > learned.parameter("bend").high
-    assert not learned.parameter("twist").determined
+    assert fixed.parameter("bend").high > learned.parameter("bend").high and not learned.parameter("twist").determined
 
 
 def test_wrong_options_are_refused(seen):
@@ -252,8 +249,7 @@ def test_clips_have_intervals_in_mm_however_wide():
 @pytest.mark.thorough
 def test_outer_marks_that_are_off_with_their_frames_do_not_bend_the_fit():
     """Reported frames 2 degrees off about y, the outer marks 0.2 mm: the place and direction that a robot believes."""
-    seen = suture()
-    tilt = rotation_matrix(np.array([0.0, np.radians(2.0), 0.0]))
+    seen, tilt = suture(), rotation_matrix(np.array([0.0, np.radians(2.0), 0.0]))
     vertices = seen.vertices.copy()
     vertices[:, [0, -1]] += [0.0, 0.1, 0.2]
     off = replace(seen, vertices=vertices, start_frame=tilt @ seen.start_frame, end_frame=tilt.T @ seen.end_frame)

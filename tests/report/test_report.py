@@ -104,8 +104,7 @@ def test_more_than_two_free_axes_show_the_minimum_over_the_others(rng):
     counts = {"bend": 1, "a": 4, "b": 3, "c": 5, "d": 2}
     axes = [(name, np.arange(1.0, count + 1), False, "") for name, count in counts.items()]
     values = rng.uniform(1, 2, (1, 4, 3, 5, 2))
-    minimum = np.unravel_index(np.argmin(values), values.shape)
-    unfinished = rng.integers(0, 9, values.shape)
+    minimum, unfinished = np.unravel_index(np.argmin(values), values.shape), rng.integers(0, 9, values.shape)
     plane = LandscapePlane.of(axes, values, minimum, unfinished)
     np.testing.assert_array_equal(plane.values, values[0].min(axis=(2, 3)))
     assert plane.minimum == minimum[1:3] and plane.hidden == ("c", "d")

@@ -68,8 +68,7 @@ def test_every_command_takes_its_options(command):
 
 @pytest.mark.thorough
 def test_items_are_measured_and_reported(tmp_path, capsys):
-    names = ["Table I", "Table II", "Fig. 1", "Fig. 3", "Fig. 4"]
-    report = tmp_path / "REPLICATION.md"
+    names, report = ["Table I", "Table II", "Fig. 1", "Fig. 3", "Fig. 4"], tmp_path / "REPLICATION.md"
     reproduce.main([*names, "--size", "tiny", "--report", str(report)])
     text = report.read_text(encoding="utf-8")
     for name in names:

@@ -42,8 +42,7 @@ def row_kernel(number: Number, inputs: int, outputs: int, function):
     def run(rows: np.ndarray, numbers: np.ndarray, values: np.ndarray) -> np.ndarray:
         runtime.start()
         filled = np.resize(rows, (-(-len(rows) // width) * width, inputs)).astype(np.float64)
-        result = np.zeros((len(filled), outputs))
-        scratch = ti.ndarray(number.type, max(inputs, outputs))
+        result, scratch = np.zeros((len(filled), outputs)), ti.ndarray(number.type, max(inputs, outputs))
         apply(filled, scratch, np.ascontiguousarray(numbers, dtype=np.float64), np.ascontiguousarray(values, dtype=np.float32),
               result)
         return result[: len(rows)]

@@ -13,8 +13,7 @@ def small_rig(count: int = 2) -> Rig:
     cameras = []
     for index in range(count):
         rotation = cv2.Rodrigues(np.array([0.3 - 0.5 * index, 0.4 * index, 0.1]))[0]
-        matrix = [[600.0, 0, 240 + index], [0, 600.0, 180], [0, 0, 1]]
-        distortion = [-0.08, 0.03, 5e-4, -4e-4, 0]
+        matrix, distortion = [[600.0, 0, 240 + index], [0, 600.0, 180], [0, 0, 1]], [-0.08, 0.03, 5e-4, -4e-4, 0]
         cameras.append(Camera(f"cam{index}", 480, 360, matrix, distortion, rotation, np.array([0.0, 0, 250])))
     return Rig(tuple(cameras))
 

@@ -37,8 +37,7 @@ def test_the_centre_line_is_found(options, diameter, polarity):
 
 @pytest.mark.thorough
 def test_directions_are_tangents_and_points_are_dense():
-    found = errors(PLAIN, 1.3)[-1]
-    line = small_rig().cameras[-1].project(smooth_curve(bow(), 200))
+    found, line = errors(PLAIN, 1.3)[-1], small_rig().cameras[-1].project(smooth_curve(bow(), 200))
     nearest = np.linalg.norm(found.points[:, None] - line, axis=-1).argmin(axis=1)
     assert np.median(np.abs((normals(line)[nearest] * found.direction).sum(axis=1))) < np.sqrt(1 - 0.999**2)
     assert np.diff(np.sort(arc_lengths(line)[nearest])).max() < 1.15
@@ -170,8 +169,7 @@ def test_the_same_seed_gives_the_same_images():
     options = RenderOptions(occluders=2, clutter=3)
     first, again, other = (render_set(small_rig(), bow(), 1.3, options, (4, index)) for index in (0, 0, 1))
     np.testing.assert_array_equal(first, again)
-    assert np.shape(first) == (2, 360, 480) and first[0].dtype == np.uint8
-    assert (np.array(first) != np.array(other)).any()
+    assert np.shape(first) == (2, 360, 480) and first[0].dtype == np.uint8 and (np.array(first) != np.array(other)).any()
 
 
 def test_what_cannot_be_drawn_is_refused():

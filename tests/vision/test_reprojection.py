@@ -131,8 +131,7 @@ def test_rods_not_finite_or_not_seen_are_reported(scene, rng):
     vertices[1] += rig.cameras[2].centre - 40 * rig.cameras[2].rotation[2]
     found = score(vertices, maps, sets, rig, NU, Material(2e5, 1e5))
     assert np.isnan(found.total[0]) and np.isfinite(found.total[1:]).all()
-    assert found.unseen[1, 2] == 1 and found.unseen[2].max() == 0
-    assert found.camera_error[1, 2] == pytest.approx(12 * UNSEEN)
+    assert found.unseen[1, 2] == 1 and found.unseen[2].max() == 0 and found.camera_error[1, 2] == pytest.approx(12 * UNSEEN)
 
 
 def test_the_true_rod_scores_best(scene, rng):
