@@ -1,4 +1,4 @@
-"""The thread's centre line in rendered images; rendered images against the projection they were made with."""
+"""The centre line of threads in rendered images, the images against their projection, and paths along detected lines."""
 
 import cv2
 import numpy as np
@@ -7,12 +7,14 @@ from scipy.interpolate import CubicSpline
 from scipy.ndimage import map_coordinates
 
 from doo_ti import DetectionOptions, detect, load_rig
-from doo_ti.rod.frames import arc_lengths
+from doo_ti.rod.frames import arc_lengths, placed, unit_vectors
+from doo_ti.vision.detection import Detection
 from doo_ti.vision.images import read_image
+from doo_ti.vision.paths import Chains, paths_from
 from doo_ti.vision.render import RenderOptions, render_set
 from doo_ti.vision.tubes import Tube, draw, smooth_curve
 from tests.conftest import check_refused
-from tests.vision.scenes import against, bow, normals, small_rig
+from tests.vision.scenes import against, bow, line_of, normals, small_rig
 
 PLAIN = RenderOptions(noise=2, shading=0, jpeg_quality=None)
 LINE = smooth_curve(bow(), 20)
@@ -177,3 +179,90 @@ def test_what_cannot_be_drawn_is_refused():
         check_refused(": ", RenderOptions, **change)
     for rod, diameter in ((bow()[:1], 1), (bow() * np.nan, 1), (bow()[[0, 0, 1]], 1), (bow(), 0), (bow(), 1e300)):
         check_refused(": ", render_set, small_rig(), rod, diameter)
+
+
+SHAPE = (480, 640)
+
+
+def chains(points: np.ndarray, rng: np.random.Generator, hidden: tuple[float, float] = (1.0, 1.0)) -> Chains:
+    """Of the curve ``points`` (N, 2) px, detected in no order, without what lies between two shares of it."""
+    arc = arc_lengths(points)
+    place = np.arange(0.0, arc[-1], 0.75)
+    place = rng.permutation(place[(place < hidden[0] * arc[-1]) | (place > hidden[1] * arc[-1])])
+    ahead = unit_vectors(placed(place + 0.5, arc, points) - placed(place - 0.5, arc, points))
+    noisy = placed(place, arc, points) + 0.05 * rng.normal(size=ahead.shape)
+    return Chains.of(line_of(noisy, rng.choice([-1.0, 1.0], (len(place), 1)) * ahead, 2.0, SHAPE))
+
+
+def wave() -> np.ndarray:
+    s = np.linspace(0, 1, 800)
+    return np.stack([60 + 500 * s, 240 + 120 * np.sin(7 * s)], axis=1)
+
+
+def loop() -> np.ndarray:
+    a = np.linspace(-2.2, 2.2, 1200)
+    return np.stack([320 + 90 * (a**3 - 2.5 * a) / 2, 120 + 60 * a**2], axis=1)
+
+
+def corner() -> np.ndarray:
+    """It comes towards the camera and goes back beside itself."""
+    down, up = np.linspace(0, 1, 300), np.linspace(0, 1, 300)
+    return np.concatenate([np.stack([300 - 12 * (1 - down), 100 + 220 * down], axis=1),
+                           np.stack([301 + 25 * up, 320 - 200 * up], axis=1)])
+
+
+def missed(path, curve: np.ndarray) -> float:
+    """px: the largest distance of the path from the curve, share by share."""
+    arc, share = arc_lengths(curve), np.linspace(0, 1, 200)
+    return float(np.linalg.norm(path.at(share * path.length) - placed(share * arc[-1], arc, curve), axis=1).max())
+
+
+def test_the_line_on_a_laid_rope_is_one_path():
+    """On each strand it runs at an angle, and jumps back across half of the rope to the next one."""
+    place = np.arange(0.0, 500.0)
+    aside = 5.0 * (place / 28 % 1 - 0.5)
+    points, way = np.stack([60 + place, 240 + aside], axis=1), unit_vectors(np.array([1.0, 5 / 28]))
+    path = paths_from(Chains.of(line_of(points, way, 8.0)), points[0], None)[0]
+    assert path.share > 0.95 and abs(path.points[-1, 0] - 559) < 5
+
+
+@pytest.mark.parametrize("curve", [wave(), loop(), corner()], ids=["wave", "loop", "corner"])
+def test_a_path_goes_from_end_to_end(rng, curve):
+    path = paths_from(chains(curve, rng), curve[0], curve[5] - curve[0])[0]
+    assert missed(path, curve) < 8.0 and path.share > 0.95
+
+
+@pytest.mark.parametrize("hidden", [(0.4, 0.5), (0.45, 0.62)])
+def test_a_path_crosses_a_gap_and_says_so(rng, hidden):
+    path = paths_from(chains(wave(), rng, hidden), wave()[0], None)[0]
+    assert missed(path, wave()) < 30.0 and abs(np.mean(~path.seen) - (hidden[1] - hidden[0])) < 0.06
+
+
+def test_it_begins_in_the_middle_in_the_direction_that_is_given(rng):
+    curve = wave()
+    ahead, back = (paths_from(chains(curve, rng), curve[300], sign * (curve[310] - curve[300]))[0] for sign in (1.0, -1.0))
+    assert np.linalg.norm(ahead.points[-1] - curve[-1]) < 4 and np.linalg.norm(back.points[-1] - curve[0]) < 4
+
+
+def test_a_loop_has_other_paths_as_well(rng):
+    paths = paths_from(chains(loop(), rng), loop()[0], None)
+    assert len(paths) > 1 and missed(paths[0], loop()) < 8.0 < missed(paths[1], loop())
+
+
+def test_free_ends_are_those_of_the_thread(rng):
+    ends = chains(wave(), rng).free_ends
+    for end in wave()[[0, -1]]:
+        assert np.linalg.norm(ends - end, axis=1).min() < 3.0
+
+
+@pytest.mark.parametrize("apart", [0.25, 0.32, 0.45])
+def test_a_point_found_twice_does_not_cut_off_the_end(apart):
+    """Either side of the border between two pixels: here 4 px from the end, where the rest of the chain was noise."""
+    x = np.r_[96.5 + apart / 2, np.arange(98.0, 200.0), 96.5 - apart / 2, 95.2, 94.1, 93.0]
+    ends = Chains.of(line_of(np.stack([x, np.full(len(x), 50.0)], axis=1), np.array([1.0, 0.0]), 2.0)).free_ends
+    assert sorted(ends[:, 0]) == [93.0, 199.0]
+
+
+def test_without_a_thread_there_is_no_path():
+    nothing = Chains.of(Detection.none(SHAPE, "ridge"))
+    assert paths_from(nothing, np.zeros(2), None) == [] and nothing.free_ends.shape == (0, 2)
