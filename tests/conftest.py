@@ -60,7 +60,6 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log):
         def _split_scope(self, nodeid: str) -> str:
             sharing = (name for name, tests in SHARED_KERNELS.items() if nodeid.startswith(tests))
             return next(sharing, nodeid.partition("::")[0])
-
     return Scheduling(config, log)
 
 

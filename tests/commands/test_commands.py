@@ -58,7 +58,6 @@ def swept(monkeypatch) -> list:
         write_run(run, grid, np.linspace(2, 1, grid.size)[:, None] + np.zeros(observations.count), observations.name)
         return {**gather_landscape(run, grid, observations.name, None).as_dict(), "gaps": [np.nan], "hypotheses": None,
                 "timing": {"relaxed_rods": 50, "loading_s": 0.2, "relaxation_s": 0.5}}
-
     monkeypatch.setitem(sys.modules, "doo_ti.learning.sweeps", types.SimpleNamespace(sweep=sweep))
     return calls
 
@@ -121,7 +120,6 @@ def test_view_opens_the_recording(monkeypatch):
         opened.append(path.name)
         if path.name == "broken":
             raise InterruptedRunError("no window")
-
     monkeypatch.setitem(sys.modules, "doo_ti.record.viewer", types.SimpleNamespace(
         **dict.fromkeys(("open_viewer", "save_screenshot", "serve_viewer"), open_viewer)))
     monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
@@ -144,7 +142,6 @@ def test_view_opens_the_recording(monkeypatch):
 def test_a_command_that_is_stopped_says_whether_it_starts_from_the_beginning(capsys, monkeypatch, command, work, way, failure):
     def fail(*args):
         raise failure
-
     monkeypatch.setattr(f"doo_ti.commands.{work}", fail)
     assert main([command, "source", "--out", "F.json"]) == 1
     out, err = capsys.readouterr()

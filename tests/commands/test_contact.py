@@ -41,7 +41,6 @@ def test_scenes_too_coarse_for_an_obstacle_are_warned_of(monkeypatch, command):
     def warn(text):
         said.append(text)
         raise KeyboardInterrupt  # nothing need be computed
-
     monkeypatch.setattr(loading.terminal, "warn", warn)
     Path("thin.toml").write_text((GROUP if command == "group" else SCENE) + THIN)
     assert main([command, "thin.toml", "--out", "f.npz"]) == 1

@@ -100,7 +100,6 @@ def images() -> dict[str, bytes]:
     def bmp(side: int) -> bytes:
         return b"BM" + struct.pack("<IHHI", 1080, 0, 0, 1078) + struct.pack(
             "<IiiHHIIiiII", 40, side, side, 1, 8, 1, 4, 0, 0, 256, 0) + bytes(1024) + b"\0\1"
-
     gif = b"GIF89a" + struct.pack("<HHBBB", size, size, 0x80, 0, 0) + bytes(6) + b"\x2c" + struct.pack(
         "<HHHHB", 0, 0, size, size, 0) + b"\x02\x02\x44\x01\x00\x3b"
     tags = ((256, 4, most), (257, 4, most), (258, 3, 8), (259, 3, 8), (262, 3, 1), (273, 4, 8), (277, 3, 1), (278, 4, most),
@@ -134,7 +133,6 @@ def readers() -> dict[str, list]:
     def read_motion_scene(path):
         found = load_motion_scene(path)
         assert found.path.count and found.surroundings(found.between) is not None
-
     rig, seen = load_rig(ROOT / "scenes/rig.yaml"), Observations(MARKS, rest_length=np.ones(3))
     curves = [load_observations, lambda path: read_recording(path, rate=10.0)]
     mesh = [lambda path: DistanceGrid.from_mesh(path, 3.0)]

@@ -33,7 +33,6 @@ def interrupted(run: Path, monkeypatch, chunks: int, observations: Observations 
         if len(calls) > chunks:
             raise error
         return work(*arguments)
-
     with monkeypatch.context() as patched:
         patched.setattr(sweeps, "CHUNK_BYTES", 18 * 32 * 33)
         patched.setattr(sweeps, "relax_hypotheses", stopping)

@@ -74,7 +74,6 @@ def test_loops_choose_the_same_cells_ties_and_gaps_included(rng, case):
         values[rng.random(values.shape) < 1 / 12] = np.nan
         values[:, rng.integers(count)] = np.nan
         return values
-
     landscapes = [static("a", distances(6)), static("b", distances(5)), dynamic("a", distances(len(PAIRS)), PAIRS),
                   static("one", rng.integers(4, 12, (9, 1)) / 8), static("none", distances(1))]
     found = scores(*landscapes)

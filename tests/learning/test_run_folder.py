@@ -40,7 +40,6 @@ def claimed_at_once(run, experiment, identities: list[str]) -> int:
         except InputError:
             return False
         return True
-
     with ThreadPoolExecutor(len(identities)) as threads:
         return sum(threads.map(begin, identities))
 
@@ -54,7 +53,6 @@ def test_of_different_sweeps_one_gets_a_folder_and_of_equal_ones_all(tmp_path, e
 def test_a_claim_on_a_full_disk_can_be_made_again(tmp_path, experiment, monkeypatch):
     def full(*arguments, **options):
         raise OSError(28, "No space left on device")
-
     with monkeypatch.context() as disk:
         disk.setattr(run_folder, "write_whole", full)
         with pytest.raises(InterruptedRunError, match="No space left"):
@@ -96,7 +94,6 @@ def copy(runs, tmp_path):
     def copied(name: str):
         shutil.copytree(runs / name, tmp_path / name)
         return tmp_path / name
-
     return copied
 
 

@@ -143,7 +143,6 @@ def test_rods_that_fail_are_reported(scene, found, monkeypatch):
         quaternions = np.where(lost[:, None, None], np.nan, solution.configuration.quaternions)
         return replace(solution, status=np.where(lost, Status.NOT_FINITE, solution.status),
                        configuration=replace(solution.configuration, quaternions=quaternions))
-
     relax = search.relax
     monkeypatch.setattr(search, "relax", failing)
     several = recovered(scene)
@@ -196,7 +195,6 @@ def test_a_finalist_that_is_no_certified_minimum_does_not_win(loop, monkeypatch)
         assert stalled.any()
         return (replace(final, energy_vis=np.where(stalled, 0.1, 1.0) * final.energy_vis),
                 replace(solution, status=np.where(stalled, Status.STALLED, solution.status)))
-
     monkeypatch.setattr(search.Search, "relaxed", stalling)
     several = perceive(maps, rig, rods[:, 0], rods[:, 1] - rods[:, 0],
                        found.configuration.rest_length.reshape(20, -1).sum(axis=1), MATERIAL, options=OPTIONS)
@@ -213,7 +211,6 @@ def test_bending_is_the_second_derivative_of_a_straight_rod_s_energy(rng):
         tangents /= np.linalg.norm(tangents, axis=1, keepdims=True)
         binormal = 2 * np.cross(tangents[:-1], tangents[1:]) / (1 + np.sum(tangents[:-1] * tangents[1:], axis=1))[:, None]
         return np.sum(np.sum(binormal**2, axis=1) / (lengths[:-1] + lengths[1:]))
-
     steps = 1e-4 * np.eye(8)
     numeric = [[(energy(a + b) - energy(a - b) - energy(b - a) + energy(-a - b)) / 4e-8 for b in steps] for a in steps]
     np.testing.assert_allclose(bending_hessian(turns, lengths[None])[0, 5:, 5:], numeric, atol=1e-6)

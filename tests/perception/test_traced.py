@@ -177,7 +177,6 @@ def test_a_loop_is_passed_the_same_way_in_all_images():
         arc = arc_lengths(points)
         points = placed(np.arange(arc[-1]), arc, points)
         return ImagePath(points, np.ones(len(points), dtype=bool), 0.0, 1.0)
-
     first, second = rig.cameras
     paths = [[path(first, loop)], [path(second, loop[::-1]), path(second, loop)]]
     costs = [match.cost for match in best_matches(rig, paths, 2)]

@@ -189,7 +189,6 @@ def test_a_known_far_clamp_predicts(video, monkeypatch):
         if len(hypotheses.quaternions[0]) == len(REST_LENGTH) and search.options.growing_iterations > 6:
             starts.append(search.vertices(hypotheses))
         return nearly_relaxed(search, hypotheses)
-
     monkeypatch.setattr(Search, "nearly_relaxed", watched)
     found, error = tracked([video[row] for row in rows], rods()[rows], far=far)
     assert all(frame.how == How.TRACKED for frame in found[1:]) and error.max() < 0.15

@@ -179,7 +179,6 @@ def test_viewer_listens_on_this_machine_only_and_reports_nothing(tmp_path, monke
     def started(command, *, env, stderr):
         calls.append((command, env))
         return SimpleNamespace(wait=lambda timeout=None: 0, poll=lambda: 0, terminate=lambda: None)
-
     monkeypatch.setattr(viewer.subprocess, "Popen", started)
     (tmp_path / "run.rrd").touch()
     viewer.open_viewer(tmp_path)

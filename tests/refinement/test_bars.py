@@ -26,7 +26,6 @@ def fitted(observations, folder, *known) -> dict[str, dict]:
     the latter."""
     def command(*words):
         return subprocess.run([sys.executable, "-m", "doo_ti", *words], check=True, capture_output=True, text=True).stdout
-
     command("sweep", str(observations), "--bend", "5e4:1e7:25", "--twist-ratio", "0.1:6:25", "--out", str(folder), "--json")
     return {one["name"]: one for one in json.loads(command("refine", str(folder), *known, "--json"))[0]["parameters"]}
 
@@ -118,11 +117,9 @@ def cantilever(tilt: float, mass: float) -> np.ndarray:
         for load, rows in ((0.0, slice(MARKS - 1, AT - 1, -1)), (mass * GRAVITY, slice(AT, None, -1))):
             def slopes(at, now, load=load):
                 return [now[1], np.cos(now[0]) * (weight * (LENGTH - at) + load) / EI, np.cos(now[0]), np.sin(now[0])]
-
             solved = solve_ivp(slopes, (s[rows][0], s[rows][-1]), state, t_eval=s[rows], rtol=1e-9, atol=1e-10)
             found[rows], state = solved.y.T, solved.y[:, -1]
         return found
-
     angles = np.linspace(tilt, tilt - np.pi, 60)
     beyond = next(k for k, angle in enumerate(angles) if from_end(angle)[0, 0] < tilt)
     end = brentq(lambda angle: from_end(angle)[0, 0] - tilt, angles[beyond], angles[beyond - 1], xtol=1e-10)

@@ -67,7 +67,6 @@ def test_it_is_the_density_of_the_residuals(linear_model):
             seen, mean, covariance = dense(evidence, linear, sizes)
             values.append(-2 * multivariate_normal(mean, covariance, allow_singular=True).logpdf(seen) + sizes.prior()[0])
         return values[1] - values[0]
-
     other = scales.at(scales.free + np.linspace(-0.3, 0.4, len(scales.free)))
     own = evidence.posterior(other).value - evidence.posterior(scales).value
     assert own == pytest.approx(difference(scales, other), rel=1e-6)
@@ -137,7 +136,6 @@ def test_a_right_hessian_needs_one_step():
     def function(x):
         calls.append(x)
         return 0.5 * x @ matrix @ x, matrix @ x
-
     x, hessian = minimised(function, np.array([0.4, -0.7]), (np.full(2, -9.0), np.full(2, 9.0)), matrix, 20, 1e-6)
     np.testing.assert_allclose(x, 0.0, atol=1e-12)
     np.testing.assert_allclose(hessian, matrix, atol=1e-12)

@@ -29,13 +29,11 @@ def hanging(span: float, places: np.ndarray, stiffness: float = EI, rise: float 
     def slope(s, y, force):
         bending = weight * (LENGTH - s) * np.cos(y[2]) - force[0] * np.sin(y[2]) + force[1] * np.cos(y[2])
         return np.array([np.cos(y[2]), np.sin(y[2]), y[3], bending / stiffness])
-
     force = [1.0, -weight * LENGTH / 2]
     for part in np.linspace(0.0, 1.0, 9) if rise or any(tilts) else (0.0,):
         def ends(first, last, force, part=part):
             return np.array([*first[:2], first[2] - part * tilts[0], last[0] - span, last[1] - part * rise,
                              last[2] - part * tilts[1]])
-
         found = solve_bvp(slope, ends, s, guess, p=force, tol=1e-7, max_nodes=20000)
         assert found.success
         s, guess, force = found.x, found.y, found.p

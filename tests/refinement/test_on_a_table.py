@@ -34,7 +34,6 @@ def lifted(rigidity: float, height: float, angle: float, marks: int, length: flo
     def miss(unknowns):
         end = shape(*unknowns).y[:, -1]
         return [100.0 * (end[0] - angle), end[3] - height]
-
     guess = (72.0 * rigidity * height) ** 0.25
     (free, reaction), _, good, _ = fsolve(miss, [guess, guess / 3.0], full_output=True)
     assert good == 1 and free < length

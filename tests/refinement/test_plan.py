@@ -64,7 +64,6 @@ def test_the_order_is_greedy_and_the_region_shrinks(configurations):
     def about(cell):
         known = found.prior + cell
         return np.linalg.slogdet(known)[1] - np.linalg.slogdet(known[2:, 2:])[1]
-
     gains = [np.mean([about(cell[row]) for cell in found.information]) for row in range(9)]
     assert found.order[0] == int(np.argmax(gains))
     later = plan(configurations, grid(), sigma=0.1, picks=100, measured=[int(found.order[0])])

@@ -152,7 +152,6 @@ def test_residuals_follow_the_unknowns(rng, theta, parameters, kinds, fields):
 def test_marks_that_an_exact_clamp_was_taken_from_do_not_count():
     def left_out(seen, kinds=(None, None), exact=True) -> list[int]:
         return np.flatnonzero(model(replace(held(seen, kinds=kinds), exact=exact))[0].weight[0] == 0).tolist()
-
     seen = suture(1)
     assert left_out(seen) == [0, 33] and left_out(seen, exact=False) == [] and left_out(seen, (None, Clamp.FREE)) == [0]
     assert left_out(replace(seen, start_frame=None)) == [0, 1, 33]

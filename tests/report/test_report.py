@@ -74,7 +74,6 @@ def test_cells_not_evaluated_are_grey_and_unfinished_ones_hatched():
 
     def grey(image):
         return (image == GREY).all(axis=-1).sum()
-
     plain = image(values)
     assert grey(plain) > 20_000 > 100 > grey(image(np.nan_to_num(values, nan=5.0)))
     counts = np.zeros(values.shape, int)

@@ -78,7 +78,6 @@ def test_a_kernel_s_first_launch_says_that_it_is_compiled(monkeypatch, shown):
     def twice(values: ti.types.ndarray(dtype=ti.f32, ndim=1)):
         for k in values:
             values[k] *= 2.0
-
     values, terminal = np.ones(3, dtype=np.float32), wide_terminal(monkeypatch)
     with progress() if shown == "bar" else busy("growth") as bar:
         if shown == "bar":

@@ -46,7 +46,6 @@ def row_kernel(number: Number, inputs: int, outputs: int, function):
         apply(filled, scratch, np.ascontiguousarray(numbers, dtype=np.float64), np.ascontiguousarray(values, dtype=np.float32),
               result)
         return result[: len(rows)]
-
     return run
 
 
@@ -63,5 +62,4 @@ def edge_kernel(number: Number, external: type):
         end = (scratch[size + 3], scratch[size + 4], scratch[size + 5])
         e, g, h, k, n, m = functions.evaluate(own, numbers, values, start, end, scratch[size + 6])
         return (e,) + g + h + k + n + m
-
     return row_kernel(number, size + 7, 28, function)

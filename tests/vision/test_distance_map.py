@@ -99,7 +99,6 @@ def sampling_kernel(number):
         alone = maps.value(values, numbers, scratch[0], 0, frame, pixel)
         value, gradient, second = maps.derivatives(values, numbers, scratch[0], 0, frame, pixel)
         return (alone, value) + gradient + second
-
     return row_kernel(number, 3, 7, function)
 
 

@@ -172,7 +172,6 @@ def test_libraries_say_nothing_of_damaged_images(tmp_path, capfd):
             return read_image(tmp_path / name).shape == (20, 30)
         except InputError:
             return False
-
     with ThreadPoolExecutor(4) as threads:
         read_well = dict(zip(["a.png", *damaged], threads.map(read, ["a.png", *damaged] * 20)))
     os.write(2, b"heard")

@@ -114,7 +114,6 @@ def test_one_camera_of_opencv_or_ros(tmp_path, kind):
     def entry(name: str, rows: int, numbers) -> str:
         size = f"   rows: {rows}\n   cols: {len(numbers) // rows}\n"
         return f"{name}: {kind}\n{size}   dt: d\n   data: {list(map(float, numbers))}\n"
-
     text = "%YAML:1.0\n---\nimage_width: 640\nimage_height: 480\n" + entry("camera_matrix", 3, MATRIX.ravel()) + entry(
         "distortion_coefficients", 5, (0.1, -0.02, 1e-3, 0.0, 0.01))
     (tmp_path / "camera.yml").write_text(text if kind else text.partition("---")[2].replace("   dt: d\n", ""))

@@ -38,7 +38,6 @@ def test_it_is_the_least_squares_point(rng):
     for point in range(5):
         def residual(x, labels=pixels[:, point]):
             return (rig.project(x) - labels).ravel()
-
         best = scipy.optimize.least_squares(residual, np.zeros(3), xtol=1e-14, ftol=1e-14, gtol=1e-14)
         np.testing.assert_allclose(found.position[point], best.x, atol=1e-6)
         np.testing.assert_allclose(found.covariance[point], NOISE**2 * np.linalg.inv(best.jac.T @ best.jac), rtol=1e-4)
