@@ -52,8 +52,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_make_scheduler(config: pytest.Config, log):
-    """Among several processes: one runs all tests of a file, and one those that share kernels which take long to compile, so
-    that each is compiled once."""
+    """One process runs all tests of a file, and one those that share kernels which take long to compile."""
     from xdist.scheduler import LoadScopeScheduling
 
     class Scheduling(LoadScopeScheduling):

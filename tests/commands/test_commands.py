@@ -25,11 +25,8 @@ name = "silk"
 frame_weight_mm = 6.7
 clamp_start = "tangent"
 precision = "f64"
-[observations]
-file = "good.npz"
-[grid]
-bend = "1e5:1e7:3"
-twist_ratio = 0.5
+observations.file = "good.npz"
+grid = { bend = "1e5:1e7:3", twist_ratio = 0.5 }
 """
 
 

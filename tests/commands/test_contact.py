@@ -49,8 +49,7 @@ def test_scenes_too_coarse_for_an_obstacle_are_warned_of(monkeypatch, command):
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
-    """Rods held 10 and 60 mm above a table, one below it, and one that goes through it; the table, without friction and with
-    it; a motion."""
+    """Rods 10 and 60 mm above a table, below it and through it; the table, without friction and with it; a motion."""
     folder, x = tmp_path_factory.mktemp("contact"), np.linspace(0, 100, 11)
     rods = np.stack([np.stack([x, 0 * x, height + 0 * x], axis=1) for height in (10.0, 60.0, -10.0)])
     steep = np.array([10.0, 10, 6, 1, -4, -9, -14, -19, -24, -29, -34])

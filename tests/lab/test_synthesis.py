@@ -46,8 +46,7 @@ def test_the_same_recipe_gives_the_same_observations(recipe):
 @pytest.mark.sampled(1)
 @pytest.mark.parametrize("recipe", [ROUND, FLAT, replace(ROUND, clip_mm=(2.0, 7.0))], ids=["round", "flat", "unequal clips"])
 def test_clips_hold_straight_pieces_where_they_should(recipe):
-    """The marks in a clip, those on its inner edge included, lie on its axis at its place, free of noise; the frames are the
-    clips'."""
+    """Marks in a clip, its inner edge included, lie on its axis, free of noise; the frames are the clips'."""
     observations, rods = observed(recipe), lab.fine_vertices(recipe)
     near, far = (np.array(d) / np.linalg.norm(d) for d in (recipe.start_direction, recipe.end_direction))
     first, last = (round(clip) for clip in recipe.clips_mm)
@@ -80,8 +79,7 @@ def test_the_end_clip_turns_by_the_end_rotation():
 @pytest.mark.sampled(1)
 @both
 def test_noise_is_of_the_asked_for_size(recipe):
-    """Rest curvature is drawn first, so without noise the same seed gives the same shapes. On marks that clips hold there is
-    noise on request; that of the free marks stays as it was."""
+    """The same seed gives the same shapes without noise; on request there is noise on held marks, that of others stays."""
     noisy, clean = observed(recipe), observed(quiet(recipe))
     inner = (noisy.vertices - clean.vertices)[:, 2:-2]
     assert abs(inner.mean()) < 4 * recipe.label_noise_mm / np.sqrt(inner.size)

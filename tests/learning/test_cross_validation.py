@@ -65,8 +65,7 @@ def assert_as_by_loops(found, parts):
 @pytest.mark.sampled(4)
 @pytest.mark.parametrize("case", range(20))
 def test_loops_choose_the_same_cells_ties_and_gaps_included(rng, case):
-    """Distances in eighths tie often; one in twelve is missing, one term everywhere. Of one part a single term is known, of
-    another none."""
+    """Eighths tie often; one in twelve is missing, one term everywhere. Of one part a single term is known, of another none."""
     rng = np.random.default_rng(rng.integers(2**32) + case)
 
     def distances(count):

@@ -186,8 +186,7 @@ def test_spins_are_spread_over_a_turn():
 
 @pytest.mark.thorough
 def test_an_unknown_spin_is_found(tmp_path):
-    """The rods of the small lab without their end frames: with 24 angles the twist of the labels is found again, and
-    the material with it; an end that may spin does not determine twist."""
+    """Without end frames, of 24 angles the twist of the labels is found again, and the material with it."""
     known = small_lab()
     unknown = replace(known, end_frame=None, total_twist=None)
     grid = Grid((Axis("bend", [2e5, 4e5, 8e5]), Axis("twist_ratio", [0.5, 1.0, 2.0])))

@@ -181,8 +181,7 @@ def test_clips_that_are_farther_apart_than_reported_do_not_stretch_a_rod(off_mm)
 
 
 def test_marks_that_are_late_are_said_to_misfit():
-    """By one step: the stiffness that is learned is wrong, and its interval says so; nothing is reached that marks do not
-    show."""
+    """By one step: the interval of the stiffness says so, and nothing is reached that marks do not show."""
     own = some("own mesh")
     servo, simulation, random = servo_of(own), own.simulation(), np.random.default_rng(5)
     late = simulation.state.configuration

@@ -196,8 +196,7 @@ def test_a_rig_whose_poses_mean_something_else_fits_worse(rng):
 
 
 def test_an_end_of_something_else_is_not_where_the_rod_begins(rng):
-    """In one image the thread seems to go on, and its end is not free; in another one, an end of something is far from the
-    rays of the others, but on the epipolar line of the click."""
+    """In one image the thread seems to go on; in another, an end of something lies on the epipolar line of the click."""
     rig, t = cameras(25.0, third=True), np.linspace(0, 1, 2001)
     points = np.stack([60 * t - 30, 25 * np.sin(3 * t), 15 * np.sin(4 * t)], axis=1)
     images = views(rig, points, 0.1, rng)

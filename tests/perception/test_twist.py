@@ -140,8 +140,7 @@ WORLDS = {
 @pytest.mark.thorough
 @pytest.mark.parametrize("world", WORLDS)
 def test_the_intervals_contain_the_truth(world):
-    """Of each suture some specimens, all of their observations, alone and three or six to a grasp. And a clear verdict is
-    within 60° of the truth."""
+    """Of each suture some specimens, alone and three or six to a grasp; and a clear verdict is within 60° of the truth."""
     covered, wrong = {}, []
     for name in SUTURES:
         for seed in SPECIMENS:

@@ -22,8 +22,7 @@ CABLE = Theta(3.2e6 * np.eye(2), 3.2e6)
 
 
 def fitted(observations, folder, *known) -> dict[str, dict]:
-    """The parameters that ``doo-ti sweep`` and ``doo-ti refine RUN --json`` print as commands, by name; ``known``: options of
-    the latter."""
+    """The parameters that sweep and ``refine RUN --json`` print as commands, by name; ``known``: options of the latter."""
     def command(*words):
         return subprocess.run([sys.executable, "-m", "doo_ti", *words], check=True, capture_output=True, text=True).stdout
     command("sweep", str(observations), "--bend", "5e4:1e7:25", "--twist-ratio", "0.1:6:25", "--out", str(folder), "--json")

@@ -215,8 +215,7 @@ def test_held_out_errors_are_those_of_rods_the_fit_did_not_see(seen):
 
 @pytest.mark.thorough
 def test_a_fixed_twist_stiffness_bounds_bend_less_than_one_that_is_learned():
-    """Straight rods whose frames nobody reported: a learned twist stiffness is expected near that of bend, which bounds bend. A
-    fixed one is no such bound: the ratio of both may become anything."""
+    """A learned one is expected near that of bend, which bounds bend; of a fixed one the ratio may become anything."""
     rods = replace(suture(rotations=3, rest_curvature_rms_per_mm=0.0), start_frame=None, end_frame=None, total_twist=None)
     fixed, learned = (fitted(rods, TRUTH, parameters=names, curvature="none", intervals="profile").estimate
                       for names in (("bend",), ("bend", "twist")))

@@ -14,8 +14,7 @@ OVERSAMPLING = 3
 
 
 def texture(board: Board, texels: int) -> tuple[np.ndarray, float]:
-    """The printed board, ``texels`` to a mm, with a white margin of one square, 0 to 1, and the mm from its edge to the first
-    corner."""
+    """The printed board, ``texels`` to a mm, 0 to 1, in a margin of one square, and the mm from its edge to a corner."""
     side = round(board.square * texels)
     if board.marker is None:
         rows, columns = np.indices((board.rows + 1, board.columns + 1))

@@ -25,8 +25,7 @@ def calibrated(seen: list[Sighting], views: int, rig: Rig = around(), board: Boa
 @pytest.mark.thorough
 @pytest.mark.parametrize("name", BOARDS)
 def test_rendered_boards_give_corners_and_a_rig(name, rng):
-    """Each corner in its own place, to a few hundredths of a pixel, also where the board lies upside down; a rig with at most
-    0.2 px, centres within 0.3 mm at 300 mm."""
+    """Each corner in its own place, also upside down; a rig with at most 0.2 px, centres within 0.3 mm at 300 mm."""
     board, rig, errors, seen = BOARDS[name], around(), [], []
     placed = poses(board, 10, rng)
     placed.append((np.diag([-1.0, -1.0, 1.0]), -placed[0][1] * [1, 1, 0]))

@@ -118,8 +118,7 @@ def test_a_thread_is_sought_by_its_colour_where_it_was_clicked(tmp_path):
 
 @pytest.mark.parametrize("gripper", [False, True])
 def test_a_clicked_thread_is_sought_by_what_shows_it_best(tmp_path, gripper):
-    """A glossy blue thread on red ground, whose grey is that of the ground: the highlight along it is more distinct, and that
-    of the gripper that holds it."""
+    """A glossy blue thread whose grey is that of the red ground: its highlight is more distinct, and that of a gripper."""
     curve = wave()
     strokes = [(curve, (190, 80, 25), 9), (beside(curve, 2.0)[200:1400], (230, 190, 170), 1)]
     if gripper:
