@@ -56,8 +56,7 @@ def objects() -> dict[str, list]:
     """Sound objects of each class, some of which do not match others."""
     rig, _, maps = image()
     grippers, plane = d.Grippers.resting(CLAMPS, 4), d.Plane((0, 0, -150), (0, 0, 1))
-    lost = replace(ROPE, quaternions=np.full_like(ROPE.quaternions, np.nan))
-    theta_fit = d.Theta(1e6 * np.eye(2), 1e6)
+    lost, theta_fit = replace(ROPE, quaternions=np.full_like(ROPE.quaternions, np.nan)), d.Theta(1e6 * np.eye(2), 1e6)
     axes = (d.Axis("bend", np.array([1e5, 1e6])), d.Axis("twist", np.array([1e5, 1e6])))
     found = [
         ROPE, THREE, ROPE.take(NONE), lost, CLAMPS, HELD, CLAMPS.take(NONE), MATERIAL, d.Material([1e5, 2e5], 1e5),

@@ -78,8 +78,7 @@ def clone(tmp_path):
 @pytest.mark.filterwarnings("ignore")
 def test_readme_runs_as_written(clone, capfd):
     """Its commands in order, without the installation, then its Python."""
-    blocks = BLOCK.findall((ROOT / "README.md").read_text(encoding="utf-8"))
-    ran = 0
+    blocks, ran = BLOCK.findall((ROOT / "README.md").read_text(encoding="utf-8")), 0
     with chdir(clone):
         for language, text in blocks:
             if language == "python":

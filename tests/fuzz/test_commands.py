@@ -178,8 +178,7 @@ def changed(content: bytes, suffix: str) -> st.SearchStrategy[bytes]:
 @st.composite
 def words_changed(draw, words: tuple[str, ...]) -> tuple[str, ...]:
     """A word of a command line replaced, left out, repeated, or an option put in."""
-    at = draw(st.integers(1, len(words) - 1))
-    way = draw(st.sampled_from(["value", "value", "drop", "twice", "option"]))
+    at, way = draw(st.integers(1, len(words) - 1)), draw(st.sampled_from(["value", "value", "drop", "twice", "option"]))
     value, option = draw(st.sampled_from((*NUMBERS, *TEXTS, "1:2:3", "1,2", "x:y"))), draw(st.sampled_from(OPTIONS))
     new = {"value": (value,), "drop": (), "twice": words[at : at + 1] * 2, "option": (words[at], option)}[way]
     if words[at - 1] in PATHS:  # outputs stay below the working folder

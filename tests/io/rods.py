@@ -18,8 +18,7 @@ def twisted_frames(vertices: np.ndarray, total_twist: np.ndarray, rng: np.random
     edges = np.diff(vertices, axis=1)
     tangent = edges / np.linalg.norm(edges, axis=-1, keepdims=True)
     bishop = bishop_frames(tangent, np.cross(tangent[:, 0], rng.normal(size=(len(vertices), 3))))
-    angle = total_twist[:, None] * np.linspace(0, 1, edges.shape[1])
-    return matrix_from_quaternion(quaternion_about(tangent, angle)) @ bishop
+    return matrix_from_quaternion(quaternion_about(tangent, total_twist[:, None] * np.linspace(0, 1, edges.shape[1]))) @ bishop
 
 
 def joint_twist(quaternions: np.ndarray) -> np.ndarray:

@@ -62,8 +62,7 @@ THIN = "{ length_mm = 9.0, edges = 4, radius_mm = 1.0 }"
 
 
 def small() -> dict[str, bytes]:
-    large = bytes(60_000_000)
-    times = "[" + ", ".join(f"{{ time_s = {n}.0 }}" for n in range(90)) + "]"
+    large, times = bytes(60_000_000), "[" + ", ".join(f"{{ time_s = {n}.0 }}" for n in range(90)) + "]"
     texts = {
         "wide.csv": ",".join(f"c{n}" for n in range(2000)) + "\n", "keys.toml": "a." * 4000 + "a = 1",
         "sparse.csv": "observation,vertex,x,y,z\n" + "".join(f"{n},{9 ** (n % 15)},0,0,{n}\n" for n in range(500)),

@@ -52,8 +52,7 @@ def test_defaults(rng):
     vertices = wavy_vertices(rng, count=5)
     vertices[2, 1] += 0.5
     observations = Observations(vertices)
-    chords = np.median(np.linalg.norm(np.diff(vertices, axis=1), axis=-1), axis=0)
-    np.testing.assert_allclose(observations.rest_length, chords)
+    np.testing.assert_allclose(observations.rest_length, np.median(np.linalg.norm(np.diff(vertices, axis=1), axis=-1), axis=0))
     assert observations.spacing_error == 0.1 and observations.valid.all() and observations.valid.shape == vertices.shape[:2]
     np.testing.assert_array_equal(observations.up, [0, 0, 1])
     others = [name for name in KEYS if name not in ("vertices", "valid", "rest_length", "up", "labels", "spacing_error")]

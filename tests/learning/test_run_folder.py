@@ -20,7 +20,7 @@ from doo_ti.learning import run_folder
 from doo_ti.learning.chunks import maker
 from doo_ti.learning.experiment import Experiment, SweepOptions
 from doo_ti.learning.run_folder import claim, identity_of, read_plan
-from tests.commands.calls import refused
+from tests.commands.calls import refused, succeeded
 from tests.conftest import check_refused
 from tests.learning.lab import DYNAMIC, GRID, small_lab
 
@@ -143,9 +143,7 @@ def test_options_that_no_sweep_has(capsys, copy, option, value):
 def test_flipped_bits_of_cells_change_no_result(capsys, copy, rng):
     """The checksums of their pages detect those in values; others are in what nothing is computed from."""
     folder = copy("dynamic")
-    capsys.readouterr()
-    assert main(["learn", str(folder)]) == 0
-    expected, path = capsys.readouterr().out, min((folder / "cells").glob("*.parquet"))
+    expected, path = succeeded(capsys, f"learn {folder}"), min((folder / "cells").glob("*.parquet"))
     whole = path.read_bytes()
     for place, bit in zip(rng.integers(len(whole), size=40), rng.integers(8, size=40), strict=True):
         flipped(path, place, bit)
@@ -214,7 +212,6 @@ def test_cells_and_summaries_of_another_run_are_not_taken(capsys, copy, tmp_path
     sweep(tmp_path / "other", replace(small_lab(), vertices=small_lab().vertices + 1.0), GRID)
     chunk = min((folder / "cells").glob("*.parquet"))
     shutil.copy(min((tmp_path / "other" / "cells").glob("*.parquet")), chunk)
-    capsys.readouterr()
     refused(capsys, folder, ["learn", str(folder)], chunk.name, "belongs to another sweep")
     (folder / "summary.json").unlink()
     check_refused("sweep", sweep, folder, small_lab(), GRID)

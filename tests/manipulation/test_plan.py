@@ -117,8 +117,7 @@ def test_obstacles_are_kept_clear_of():
     """A ball where the straight motion of the grippers would take the rod."""
     own, shift = some().take(np.array([1])), np.zeros((1, 12))
     shift[:, [1, 7]] = 300.0
-    goal = own.real.vertices + shift[:, None, :3]
-    ball = d.Sphere(own.real.vertices[0, 16] + [0.0, 150.0, 0.0], 25.0)
+    goal, ball = own.real.vertices + shift[:, None, :3], d.Sphere(own.real.vertices[0, 16] + [0.0, 150.0, 0.0], 25.0)
     straight = d.ClampPath(np.arange(2.0), *(np.stack([getattr(one, name) for one in (own.clamps, moved(own.clamps, shift))])
                                              for name in ("start_position", "end_position")))
     around = Surroundings([ball], 1.5)
@@ -187,8 +186,7 @@ def test_damped_steps_are_the_best_of_their_length_and_within_their_limit(count,
     size = np.linalg.norm(steps, axis=1)
     assert (size <= np.maximum(length, shortest * active) * (1 + 1e-9)).all()
     for row in np.flatnonzero(length > shortest):
-        left = gradient[row] - normal[row] @ steps[row]
-        parts = np.stack([steps[row], across[row]])[: 1 + active[row]]
+        left, parts = gradient[row] - normal[row] @ steps[row], np.stack([steps[row], across[row]])[: 1 + active[row]]
         multipliers, *_ = np.linalg.lstsq(parts.T, left, rcond=None)
         np.testing.assert_allclose(multipliers @ parts, left, atol=1e-4 * np.linalg.norm(gradient[row]))
         assert (multipliers > -1e-4).all()

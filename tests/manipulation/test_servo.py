@@ -81,8 +81,7 @@ def test_no_step_is_longer_than_allowed_nor_moves_a_held_gripper():
     servo = servo_of(own, options=options)
     random, simulation = np.random.default_rng(1), own.simulation()
     for _ in range(5):
-        before = servo.clamps
-        after = servo.step(own.marks(simulation.state.configuration, 11, random))
+        before, after = servo.clamps, servo.step(own.marks(simulation.state.configuration, 11, random))
         simulation.step(after)
         assert np.array_equal(after.start_position, own.clamps.start_position)
         assert np.array_equal(after.start_frame, own.clamps.start_frame)

@@ -4,10 +4,9 @@ import numpy as np
 import pytest
 
 from doo_ti import PerceptionOptions, Plane, Surroundings, end_clamps, perceive, relax, save_observations, straight_rod
-from doo_ti.commands.cli import main
 from doo_ti.rod.types import Clamp, Material, Status
 from doo_ti.vision.tubes import smooth_curve
-from tests.commands.calls import refused, written
+from tests.commands.calls import made, refused
 from tests.conftest import check_refused
 from tests.vision.scenes import drawn_maps, three_cameras
 from tools.studies import table_study
@@ -54,9 +53,8 @@ def test_twist_is_found_with_the_table(tmp_path, capsys):
     """Of a rope that lies on it: eight observations share an angle, which is zero as their end frames are known."""
     observations, truth = table_study.specimen(2014)
     save_observations(tmp_path / "rope.npz", observations)
-    (tmp_path / "table.toml").write_text('[[obstacles]]\nkind = "plane"\npoint = [0, 0, 0]\nnormal = [0, 0, 1]\n')
-    words = ["twist", str(tmp_path / "rope.npz"), "--observations", "8", "--bend", f"{truth['bend']}", "--twist",
-             f"{truth['twist']}", "--obstacles", str(tmp_path / "table.toml"), "--out", str(tmp_path / "twist.npz")]
-    assert main([*words, "--radius", "2"]) == 0 and abs(written(tmp_path / "twist.npz")["phi_deg"][0]) < 10.0
-    capsys.readouterr()
+    (tmp_path / "table.toml").write_text('obstacles = [{ kind = "plane", point = [0, 0, 0], normal = [0, 0, 1] }]')
+    words = (f"twist {tmp_path}/rope.npz --observations 8 --bend {truth['bend']} --twist {truth['twist']} --obstacles "
+             f"{tmp_path}/table.toml --out {tmp_path}/twist.npz")
+    assert abs(made(f"{words} --radius 2")["phi_deg"][0]) < 10.0
     refused(capsys, tmp_path, words, "--radius: missing beside --obstacles")

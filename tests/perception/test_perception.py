@@ -232,8 +232,7 @@ def test_real_looking_images(laboratory, name):
     """All of them, to 0.040 mm, the largest of the mean errors that the paper reports (§V-E)."""
     folder = laboratory / "images_a"
     truth, rig = np.load(folder / "truth.npz"), load_rig(folder / "rig.yaml")
-    theta = json.loads((laboratory / "lab_a" / "truth.json").read_text())[name]
-    sets = load_sets(folder / "sets.csv", rig)
+    theta, sets = json.loads((laboratory / "lab_a" / "truth.json").read_text())[name], load_sets(folder / "sets.csv", rig)
     rows = [row for row, called in enumerate(sets.names) if called.startswith(name)]
     detected = [[detect(read_image(*image)) for image in zip(sets.paths[row], sets.rig.cameras)] for row in rows]
     found = perceive(distance_maps(detected, 60), sets.rig, sets.point[rows], sets.direction[rows], truth["rest_length_mm"],

@@ -43,8 +43,7 @@ def seen():
 
 def recovered(seen, length: float = LENGTH_MM, evidence: str = "both"):
     rig, curves, detections = seen
-    start = np.array([points[0] for points in curves])
-    direction = np.array([points[60] - points[0] for points in curves])
+    start, direction = np.array([points[0] for points in curves]), np.array([points[60] - points[0] for points in curves])
     return d.perceive(d.distance_maps(detections), rig, start, direction, np.full(EDGES, length / EDGES), MATERIAL, up=UP,
                     options=d.PerceptionOptions(evidence=evidence))
 

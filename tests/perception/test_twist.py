@@ -52,8 +52,7 @@ def test_every_grasp_has_its_own_angle(made):
 
 def test_groups():
     assert consecutive_groups(7, 3).tolist() == [0, 0, 0, 1, 1, 1, 2]
-    assert consecutive_groups(7, 3, [1, 5]).tolist() == [0, 1, 1, 1, 2, 3, 3]
-    assert consecutive_groups(3, 1).tolist() == [0, 1, 2]
+    assert consecutive_groups(7, 3, [1, 5]).tolist() == [0, 1, 1, 1, 2, 3, 3] and consecutive_groups(3, 1).tolist() == [0, 1, 2]
 
 
 def test_offsets_without_a_hint_follow_from_one_to_the_next(made):
@@ -126,8 +125,7 @@ def test_total_twist_is_the_angle_between_transported_directors(made):
         axis, m1 = axis / max(sine, 1e-300), before[:, 1]
         carried = m1 * cosine + np.cross(axis, m1) * sine + axis * (axis @ m1) * (1 - cosine)
         angles.append(angle_about(after[:, 0], carried, after[:, 1]))
-    assert np.sum(angles) == pytest.approx(7.0)
-    assert total_twist(rod.quaternions)[0] == pytest.approx(np.sum(angles), abs=1e-12)
+    assert np.sum(angles) == pytest.approx(7.0) and total_twist(rod.quaternions)[0] == pytest.approx(np.sum(angles), abs=1e-12)
 
 
 SPECIMENS = range(300, 303)

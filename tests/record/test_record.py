@@ -151,8 +151,7 @@ def test_relaxation_has_no_landscape(tmp_path, rng):
 
 
 def test_one_free_axis_gives_cells_on_a_line_and_no_surface(tmp_path, rng):
-    run = runs.sweep(rng)
-    cells = runs.Grid((runs.Axis("bend", np.geomspace(1e5, 1e7, runs.BENDS)),))
+    run, cells = runs.sweep(rng), runs.Grid((runs.Axis("bend", np.geomspace(1e5, 1e7, runs.BENDS)),))
     run |= {"plane": LandscapePlane.of(cells.picture_axes, run["plane"].grid[:, 1:2], (2, 0, 0)), "intervals": ()}
     static, moving = written(tmp_path, run)
     assert "/landscape/surface" not in static and len(moving["/landscape/cells"]["trial"]["trial"]) == runs.BENDS

@@ -200,8 +200,7 @@ def test_twists_do_not_follow_the_guessed_place_of_a_missing_outer_mark():
     vertices[::2, -1] = vertices[1::3, 0] = np.nan
     seen = replace(turned, vertices=vertices, rest_length=rest, valid=np.isfinite(vertices).all(axis=-1), total_twist=None)
     fit, values, scales = fit_of(seen)
-    begun = fit.begin(replace(values, clip=np.full(2, 1.5)), scales)
-    np.testing.assert_allclose(_twist(begun), turned.total_twist, atol=1.0)
+    np.testing.assert_allclose(_twist(fit.begin(replace(values, clip=np.full(2, 1.5)), scales)), turned.total_twist, atol=1.0)
 
 
 def test_intervals_contain_those_of_other_optima():

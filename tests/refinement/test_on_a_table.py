@@ -9,13 +9,10 @@ from scipy.optimize import fsolve
 from scipy.spatial.transform import Rotation
 
 import doo_ti as d
-from doo_ti.commands.cli import main
 from doo_ti.refinement.plan import plan
 from doo_ti.rod.start import observation_clamps
 from tests.commands.calls import refused, succeeded
 from tools.studies.table_study import TABLE, specimen
-
-TABLE_FILE = '[[obstacles]]\nkind = "plane"\npoint = [0, 0, 0]\nnormal = [0, 0, 1]\n'
 
 
 @pytest.fixture(scope="module")
@@ -61,24 +58,20 @@ def test_ropes_that_somebody_lifts_at_one_end(seed):
 @pytest.mark.thorough
 def test_commands_take_the_table_and_the_run_of_a_sweep_keeps_it(rope, tmp_path, capsys):
     observations, truth = rope
-    path, run = str(tmp_path / "rope.npz"), str(tmp_path / "run")
+    path, run = f"{tmp_path}/rope.npz", f"{tmp_path}/run"
     d.save_observations(tmp_path / "rope.npz", observations)
-    (tmp_path / "table.toml").write_text(TABLE_FILE)
-    obstacles, radius = ["--obstacles", str(tmp_path / "table.toml")], ["--radius", "2"]
-    model = ["--rest-curvature", "none", "--clamps", "exact", "--no-models"]
-    assert main(["sweep", path, "--bend", "5e4:2e5:3", "--twist", "5e4", *obstacles, *radius, "--out", run, "--precision",
-                 "f64"]) == 0
-    of_file, of_run = ["refine", path, "--bend", "3e5", "--twist", "3e5", *model], ["refine", run, "--starts", "1", *model]
-    for words in ([*of_file, *obstacles, *radius], of_run):
-        capsys.readouterr()
-        (found,) = json.loads(succeeded(capsys, [*words, "--json"]))
+    (tmp_path / "table.toml").write_text('obstacles = [{ kind = "plane", point = [0, 0, 0], normal = [0, 0, 1] }]')
+    obstacles, model = f"--obstacles {tmp_path}/table.toml", "--rest-curvature none --clamps exact --no-models"
+    succeeded(capsys, f"sweep {path} --bend 5e4:2e5:3 --twist 5e4 {obstacles} --radius 2 --out {run} --precision f64")
+    of_file, of_run = f"refine {path} --bend 3e5 --twist 3e5 {model}", f"refine {run} --starts 1 {model}"
+    for words in (f"{of_file} {obstacles} --radius 2", of_run):
+        (found,) = json.loads(succeeded(capsys, f"{words} --json"))
         assert found["converged"] and found["rods_used"] == observations.count and found["mean_distance_mm"] < 0.2
         for one in found["parameters"]:
             assert one["name"] not in truth or one["low"] < truth[one["name"]] < one["high"] < 1.4 * one["low"]
         assert found["obstacles"]["kinds"] == ["plane"] and found["obstacles"]["radius_mm"] == 2.0
-    for words, field in (([*of_file, *radius], "--radius: "), ([*of_file, *obstacles], "--radius: "),
-                         ([*of_file, *obstacles, "--radius", "40"], "inside a Plane"),
-                         ([*of_run, *obstacles], "--obstacles: ")):
+    for words, field in ((f"{of_file} --radius 2", "--radius: "), (f"{of_file} {obstacles}", "--radius: "),
+                         (f"{of_file} {obstacles} --radius 40", "inside a Plane"), (f"{of_run} {obstacles}", "--obstacles: ")):
         refused(capsys, tmp_path, words, field)
 
 

@@ -205,12 +205,10 @@ def test_folds_cut_no_group_apart():
 def test_held_out_errors_are_those_of_rods_the_fit_did_not_see(seen):
     fold = folds_of(np.arange(12), 3)
     out = refine_held_out(seen, observation_clamps(seen), TRUTH, fold, QUICK)
-    alone = fitted(seen.take(np.flatnonzero(fold != 1)), TRUTH)
-    np.testing.assert_array_equal(out.refinements[1].theta.bend, alone.theta.bend)
+    np.testing.assert_array_equal(out.refinements[1].theta.bend, fitted(seen.take(np.flatnonzero(fold != 1)), TRUTH).theta.bend)
     assert out.sound.all() and len(out.refinements) == 3
     # Eq. 1 of marks that are NOISE off in each coordinate: √(8/π) of that, of the marks that are noisy.
-    assert out.mean_distance == pytest.approx(NOISE * np.sqrt(8 / np.pi) * 31 / 33, rel=0.2)
-    assert 0 < out.standard_error < 0.05
+    assert out.mean_distance == pytest.approx(NOISE * np.sqrt(8 / np.pi) * 31 / 33, rel=0.2) and 0 < out.standard_error < 0.05
 
 
 @pytest.mark.thorough

@@ -136,8 +136,7 @@ def test_surface_leaves_out_what_was_not_evaluated():
     assert points.shape == (runs.BENDS, runs.RATIOS, 3)
     np.testing.assert_allclose(points[:, 0, 0], np.linspace(0, 1, runs.BENDS))
     corners = points[np.isfinite(points[..., 2])][triangles]
-    area = 0.5 * np.linalg.det(corners[:, 1:, :2] - corners[:, :1, :2])
-    cells = (runs.BENDS - 1) * (runs.RATIOS - 1)
+    area, cells = 0.5 * np.linalg.det(corners[:, 1:, :2] - corners[:, :1, :2]), (runs.BENDS - 1) * (runs.RATIOS - 1)
     np.testing.assert_allclose(area.sum(), 1 - 1 / cells)
     assert (area > 0).all()
 

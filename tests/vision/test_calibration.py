@@ -149,8 +149,7 @@ def test_uncertainties_match_the_errors(rng):
 def test_adjustment_comes_back_from_afar(rng):
     rig, placed = around(), poses(CHESSBOARD, 6, rng)
     seen = sightings(CHESSBOARD, rig, placed, 0.0, rng)
-    true = Bundle(rig.cameras, *(np.array(part) for part in zip(*placed)))
-    free = np.ones(3 * 15 + 6 * 6, dtype=bool)
+    true, free = Bundle(rig.cameras, *(np.array(part) for part in zip(*placed))), np.ones(3 * 15 + 6 * 6, dtype=bool)
     lenses, _, of_views = places(3, 6)
     free[lenses[:, 8]], free[of_views[0]] = False, False
     push = rng.normal(size=len(free)) * np.where(free, 0.02, 0)

@@ -188,8 +188,7 @@ def test_a_glint_within_the_thread(light):
 def test_a_wide_thread_is_found_as_exactly_as_a_narrow_one(width):
     """Its two halves differ, as lit from one side: the middle is between its edges."""
     curve = wave()
-    halves = [(beside(curve, sign * width / 4), (level,) * 3, width // 2) for sign, level in ((-1, 40), (1, 90))]
-    found = detect(drawn(*halves))
+    found = detect(drawn(*[(beside(curve, sign * width / 4), (level,) * 3, width // 2) for sign, level in ((-1, 40), (1, 90))]))
     assert found.width_px == pytest.approx(width, abs=3.0)
     assert np.median(cKDTree(curve).query(found.points)[0]) < 0.25 and shares(found.points, curve)[0] > 0.98
 
@@ -214,16 +213,14 @@ def test_strands_side_by_side_are_two_lines(apart):
     aside = apart / 2 + 4.0 * np.abs(np.linspace(-1, 1, len(curve)))[:, None]
     pair = [beside(curve, sign * aside) for sign in (-1, 1)]
     found = detect(grey(*((line, DARK, 4) for line in pair)))
-    assert not (cKDTree(curve).query(found.points)[0] < 1.0).any()
-    assert shares(found.points, np.concatenate(pair), 2.0)[1] > 0.93
+    assert not (cKDTree(curve).query(found.points)[0] < 1.0).any() and shares(found.points, np.concatenate(pair), 2.0)[1] > 0.93
 
 
 @pytest.mark.thorough
 @pytest.mark.parametrize("seed", [0, 5, 7])
 def test_a_narrow_loop_is_no_glint(seed):
     """A rod that crosses itself, seen from beside it: two strands three widths apart, on which a line between them ends."""
-    rods = lab_rods(load_scene(SCENES / "silk.toml").observations)
-    rig = Rig(load_rig(SCENES / "rig.yaml").cameras[2:])
+    rods, rig = lab_rods(load_scene(SCENES / "silk.toml").observations), Rig(load_rig(SCENES / "rig.yaml").cameras[2:])
     curve = smooth_curve(rods.curve[rods.names.index("silk_54mm_150deg")], 8)
     recall, precision = shares(detect(render_set(rig, curve, 0.5, seed=seed)[0]).points, rig.project(curve)[0], 2.0)
     assert recall > 0.99 and precision > 0.97

@@ -125,8 +125,7 @@ def test_a_clicked_thread_is_sought_by_what_shows_it_best(tmp_path, gripper):
         strokes.append((np.array([[15.0, 200.0], [64.0, 200.0]]), (250, 250, 250), 8))
     image = drawn(*strokes, ground=(50, 50, 140))
     cv2.imwrite(str(tmp_path / "a.png"), image)
-    seen = replace(camera(), width=image.shape[1], height=image.shape[0])
-    plain = Sight(clicks=({0: tuple(curve[30])},))
+    seen, plain = replace(camera(), width=image.shape[1], height=image.shape[0]), Sight(clicks=({0: tuple(curve[30])},))
     chosen, known = plain.of_set(0, [tmp_path / "a.png"], [seen])
     assert shares(plain.detected(tmp_path / "a.png", seen).points, curve)[0] < 0.9
     recall, precision = shares(chosen.detected(tmp_path / "a.png", seen).points, curve)

@@ -111,8 +111,7 @@ def hypotheses(rng, rods, count):
 def test_scores_are_the_oracle_s(kind, scene, rng):
     rig, rods, maps = scene
     vertices, sets = hypotheses(rng, rods, 19)
-    up = np.array([0.6, 0.0, 0.8])
-    material = Material(rng.uniform(1e5, 6e5, 19), 1.0, rng.uniform(0, 2, 19))
+    up, material = np.array([0.6, 0.0, 0.8]), Material(rng.uniform(1e5, 6e5, 19), 1.0, rng.uniform(0, 2, 19))
     found = score(vertices.astype(kind), maps, sets, rig, NU, material, points=POINTS, cap=CAP, up=up)
     assert found.camera_error.shape == found.unseen.shape == (19, 3) and not found.unseen.any()
     for n, rod in enumerate(vertices):
@@ -188,8 +187,7 @@ def formula(external: AssignedPoints, row: int, edge: int, start: np.ndarray, en
             share = (k + 0.5) / PLACES
             apart = camera.project((start + share * (end - start))[None])[0] - external.points[row, c, edge, k]
             t = external.tangent[row, c, edge, k]
-            square = (apart @ [-t[1], t[0]]) ** 2 + external.along * (apart @ t) ** 2
-            h = external.soft
+            square, h = (apart @ [-t[1], t[0]]) ** 2 + external.along * (apart @ t) ** 2, external.soft
             total += external.weight[row, c, edge, k] * 2 * h * h * (np.sqrt(1 + square / h**2) - 1)
     return NU_BACK * total
 

@@ -126,8 +126,7 @@ def test_one_camera_of_opencv_or_ros(tmp_path, kind):
 
 def test_a_unit_may_be_stated_in_mm(tmp_path):
     stereo(tmp_path / "stereo.yml")
-    shift = load_rig(tmp_path / "stereo.yml", RigReading(unit=37.5)).cameras[1].translation
-    np.testing.assert_allclose(shift, 37.5 * SHIFT)
+    np.testing.assert_allclose(load_rig(tmp_path / "stereo.yml", RigReading(unit=37.5)).cameras[1].translation, 37.5 * SHIFT)
     check_refused("unit", RigReading, unit=0.0)
 
 
