@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.commands.calls import MATERIAL, good_keys, npz_bytes, refused
+from tests.commands.calls import MATERIAL, good_keys, refused, write_good
 from tests.processes import python
 
 
@@ -44,7 +44,7 @@ def test_files_that_are_not_there_or_those_of_another_command(capsys, tmp_path):
     ("--frame-weight 2", ("frames", "missing", "--frame-weight"))])
 def test_wrong_options(capsys, tmp_path, words, expected):
     """Of relax, in a valid command line; \v stands for a line break within an option."""
-    npz_bytes(tmp_path)
+    write_good(tmp_path)
     more = [word.replace("\v", "\n") for word in words.split(" ")]
     refused(capsys, tmp_path, ["relax", "good.npz", *MATERIAL, "--out", "F.npz", *more], *expected)
 
@@ -58,7 +58,7 @@ def test_wrong_options(capsys, tmp_path, words, expected):
     ("--bend 1e5 --workers 2 --dask tcp://127.0.0.1:1", ("--dask", "--workers"))])
 def test_wrong_grids_and_other_options_of_sweep(capsys, tmp_path, words, expected):
     """Texts of grids: tests/rod/test_grid.py."""
-    npz_bytes(tmp_path)
+    write_good(tmp_path)
     refused(capsys, tmp_path, f"sweep good.npz --out run {words}", *expected)
 
 
@@ -69,7 +69,7 @@ def test_unknown_command(capsys, tmp_path):
 
 
 def test_outputs_that_cannot_be(capsys, tmp_path):
-    npz_bytes(tmp_path)
+    write_good(tmp_path)
     Path("folder.npz").mkdir()
     Path("dangling").symlink_to("missing")
     sweep = "sweep good.npz --bend 1e5:1e6:3 --out"
@@ -87,7 +87,7 @@ def test_outputs_that_cannot_be(capsys, tmp_path):
 
 
 def test_outputs_that_may_not_be(capsys, tmp_path, monkeypatch):
-    npz_bytes(tmp_path)
+    write_good(tmp_path)
     monkeypatch.setattr(os, "access", lambda path, mode: False)
     for command, out in (("relax", "F.npz"), ("sweep", "new/run")):
         argv = [command, tmp_path / "good.npz", *MATERIAL, "--out", tmp_path / out]

@@ -82,12 +82,7 @@ kind = "plane"
 point = [0, 0, -30]
 normal = [0, 0, 1]
 """
-TABLE = """[[obstacles]]
-kind = "plane"
-point = [0, 0, -60]
-normal = [0, 0, 1]
-friction = 0.2
-"""
+TABLE = 'obstacles = [{ kind = "plane", point = [0, 0, -60], normal = [0, 0, 1], friction = 0.2 }]\n'
 
 def make(folder: Path, quick: bool = False) -> None:
     """Fill ``folder``; ``quick``: with scenes, observations and motions. RuntimeError: the package refuses its own files."""
@@ -153,7 +148,6 @@ def _middle() -> np.ndarray:
 
 
 def _rig():
-    """Three small cameras that look at the rods from about 70 mm."""
     return three_cameras(70.0, 0.25, _middle())
 
 

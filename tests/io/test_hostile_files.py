@@ -149,7 +149,6 @@ def readers() -> dict[str, list]:
 
 
 def read_all(folder: Path, answers) -> None:
-    """Read every file in the folder in every way, and send what went wrong: the file, and an error or bytes of memory."""
     by_suffix = readers()
     most = MOST_ADDRESSES + resource.getpagesize() * int(Path("/proc/self/statm").read_text().split()[0])
     resource.setrlimit(resource.RLIMIT_AS, (most, most))

@@ -191,12 +191,8 @@ def test_quantities_between_moments(moments, first):
 
 
 MOTION = """
-[rod]
-length_mm = 60.0
-edges = 20
-[materials.cord]
-bend = 1e6
-twist = 5e5
+rod = { length_mm = 60.0, edges = 20 }
+materials.cord = { bend = 1e6, twist = 5e5 }
 [[moments]]
 end_position_mm = [50, 0, 0]
 [[moments]]
@@ -222,9 +218,8 @@ def test_a_loop_is_thrown_and_pops_out():
 
 
 def test_omitted_quantities_stay_as_they_were(tmp_path):
-    file = tmp_path / "scene.toml"
-    file.write_text(MOTION, encoding="utf-8")
-    scene = load_motion_scene(file)
+    (tmp_path / "scene.toml").write_text(MOTION, encoding="utf-8")
+    scene = load_motion_scene(tmp_path / "scene.toml")
     assert scene.name == "scene" and scene.between == 1 and scene.start.edges == 20
     np.testing.assert_allclose(scene.path.end_position[:, 0], [[50, 0, 0], [50, 0, 0]])
     np.testing.assert_allclose(scene.clamps.end_position, [[60, 0, 0]])
@@ -253,13 +248,13 @@ def test_a_clamp_that_turns_along_the_material_has_a_frame(tmp_path):
 
 
 @pytest.mark.parametrize("old, new, word", [
-    ("[rod]", "[rods]", "rod"), ("edges = 20", "edges = 2", "rod.edges"), ("= 60.0", "= -1", "rod.length_mm"),
-    ("[materials.cord]", "[materials]", "materials"), ("bend = 1e6", "bend = [1, 2]", "bend"),
+    ("rod = ", "rods = ", "rod"), ("edges = 20", "edges = 2", "rod.edges"), ("= 60.0", "= -1", "rod.length_mm"),
+    ("materials.cord", "materials", "materials"), ("bend = 1e6", "bend = [1, 2]", "bend"),
     ("bend = 1e6", "bend = -1e6", "positive definite"), ("time_s = 1", "", "time_s"), ("time_s = 1", "time_s = 0", "rise"),
     ("[50, 0, 0]", "[50, 0]", "end_position_mm"), ("end_rotation_deg = 30", "end_direction = [0, 0, 0]", "end_direction"),
     ("end_rotation_deg = 30", "colour = 3", "moments\\[1\\].colour"),
     ("end_rotation_deg = 30", 'end_turns = "two"', "end_turns"),
-    ("edges = 20", "edges = 45\nradius_mm = 0.8\nknot_loop_mm = 10.0", "rod.length_mm: 60 mm"),
+    ("edges = 20", "edges = 45, radius_mm = 0.8, knot_loop_mm = 10.0", "rod.length_mm: 60 mm"),
     ("length_mm", "length = [", "TOML")])
 def test_wrong_scenes_of_motion_are_named(tmp_path, old, new, word):
     file = tmp_path / "scene.toml"
@@ -269,6 +264,6 @@ def test_wrong_scenes_of_motion_are_named(tmp_path, old, new, word):
 
 
 def test_names_of_several_lines_take_one(tmp_path):
-    (tmp_path / "scene.toml").write_text('name = "a\\nb"\n' + MOTION.replace("[materials.cord]", '[materials."c\\nd"]'))
+    (tmp_path / "scene.toml").write_text('name = "a\\nb"\n' + MOTION.replace("materials.cord", 'materials."c\\nd"'))
     scene = load_motion_scene(tmp_path / "scene.toml")
     assert scene.name == r"a\nb" and scene.names == (r"c\nd",)

@@ -68,7 +68,6 @@ def test_a_plain_csv_written_by_hand(tmp_path):
 
 
 def table(rng) -> dict[str, list]:
-    """The columns of a good table of two observations of four vertices."""
     vertices = wavy_vertices(rng, count=2, marks=4)
     columns = {"observation": [0] * 4 + [1] * 4, "vertex": [0, 1, 2, 3] * 2}
     columns |= {f"{axis}_mm": vertices[..., k].ravel().tolist() for k, axis in enumerate("xyz")}

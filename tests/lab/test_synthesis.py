@@ -2,7 +2,6 @@
 
 from dataclasses import replace
 from functools import cache
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -17,6 +16,7 @@ from doo_ti.lab.synthesis import ClipErrors, fine_vertices, synthesise
 from doo_ti.relaxation import batch
 from doo_ti.rod.frames import quaternion_from_matrix
 from tests.io.rods import joint_twist
+from tests.processes import ROOT
 from tests.references.rods import chain, clamps_at
 
 DISTANCES, ROTATIONS = (42.0, 66.0, 84.0), (0.0, 90.0, 180.0, 270.0)
@@ -248,9 +248,6 @@ def test_busy_lanes(reference):
     assert found.busy == 150 / 200
 
 
-SCENES = Path(__file__).resolve().parents[2] / "scenes"
-
-
 @pytest.mark.parametrize("name", workload.LAB)
 def test_the_rods_are_those_of_the_shipped_scenes(name):
-    assert replace(load_scene(SCENES / f"{name}.toml").observations, source="synthesis") == workload.LAB[name]
+    assert replace(load_scene(ROOT / "scenes" / f"{name}.toml").observations, source="synthesis") == workload.LAB[name]

@@ -52,7 +52,6 @@ def grid_of(cells: int) -> Grid:
 
 
 def static(name: str, distance: np.ndarray, end_distance=np.nan, stable=True) -> Landscape:
-    """A landscape under Eq. 2 of distances (G, D)."""
     cells, count = distance.shape
     terms = np.arange(count)
     return Landscape(Path(f"{name}_static"), name, grid_of(cells), "static", distance,

@@ -97,11 +97,12 @@ def copy(runs, tmp_path):
     return copied
 
 
-def with_column(run, name: str, change) -> None:
+def with_value(run, name: str, value) -> None:
+    """In the third row of a run's first file of cells."""
     path = min((run / "cells").glob("*.parquet"))
     table = pyarrow.parquet.read_table(path)
     values = table.column(name).to_pylist()
-    change(values)
+    values[2] = value
     kind = table.schema.field(name).type
     pyarrow.parquet.write_table(table.set_column(table.column_names.index(name), name, pyarrow.array(values, kind)), path)
 
@@ -112,10 +113,6 @@ def flipped(path, place: int, bit: int) -> None:
     path.write_bytes(content)
 
 
-def at_two(value):
-    return lambda values: values.__setitem__(2, value)
-
-
 @pytest.mark.thorough
 @pytest.mark.parametrize(("run", "column", "value"), [
     ("static", "distance_mm", -1.0), ("static", "distance_mm", np.inf), ("static", "distance_mm", None),
@@ -123,7 +120,7 @@ def at_two(value):
     ("dynamic", "pair_weight", -1.0), ("dynamic", "pair_weight", np.nan), ("dynamic", "jumps", -1)])
 def test_values_that_no_sweep_finds(capsys, copy, run, column, value):
     folder = copy(run)
-    with_column(folder, column, at_two(value))
+    with_value(folder, column, value)
     refused(capsys, folder, ["learn", str(folder)], column)
     check_refused(": ", read_landscape, folder)
 

@@ -108,7 +108,6 @@ def test_the_nearest_sound_one_in_each_cell(rng):
 
 
 def test_what_explains_an_observation_stands_for_it_in_all_cells(rng):
-    """The right hypothesis is near in the right cell only; elsewhere another one may be nearer."""
     true, best = np.array([2, 3, 8, 10]), 17
     distance = rng.uniform(2, 9, (40, 12))
     distance[best, :] = 8

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from doo_ti import DistanceMaps, Material, PerceptionOptions, Status, detect, distance_maps, load_rig, score
+from doo_ti import DistanceMaps, Material, PerceptionOptions, Status, TrackingOptions, detect, distance_maps, load_rig, score
 from doo_ti.perception import search
 from doo_ti.perception.growth import rank_distinct, sampled_directions, select_hypotheses, suppress_similar
 from doo_ti.perception.perceive import Perception, PerceptionVerdict, perceive
@@ -255,9 +255,11 @@ def test_wrong_input_is_refused(scene, change, field):
     check_refused(field, perceive, maps, rig, **arguments | change)
 
 
-@pytest.mark.parametrize("change", [{"nu": 0.0}, {"hypotheses": 0}, {"pieces": 0}, {"runners_up": -1}, {"sigma_px": np.nan}])
-def test_options_are_checked(change):
-    check_refused(next(iter(change)), PerceptionOptions, **change)
+@pytest.mark.parametrize("options, name, value", [
+    *((PerceptionOptions, name, 0) for name in ("nu", "hypotheses", "pieces")), (PerceptionOptions, "runners_up", -1),
+    (PerceptionOptions, "sigma_px", np.nan), (TrackingOptions, "lost_px", 0.0), (TrackingOptions, "worse_px", np.nan)])
+def test_options_are_checked(options, name, value):
+    check_refused(name, options, **{name: value})
 
 
 def test_directions_are_even_and_forward():

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import doo_ti as d
-from doo_ti import How, PerceptionVerdict, TrackedFrame, Tracker, TrackingOptions, seen_vertices
+from doo_ti import How, PerceptionVerdict, TrackedFrame, Tracker, seen_vertices
 from doo_ti.motion.path import Motion, motion_between
 from doo_ti.perception.search import PerceptionOptions, Search
 from doo_ti.rod.frames import across, matrix_from_quaternion, quaternion_about, unit_vectors
@@ -217,8 +217,3 @@ def test_vertices_that_two_cameras_show_are_seen():
     assert np.isnan(seen_vertices(frame, rig, [first[0], NOTHING, NOTHING])).all()
     assert np.isnan(seen_vertices(replace(frame, vertices=np.full_like(rod, np.nan)), rig, first)).all()
     check_refused("detected", seen_vertices, frame, rig, first[:2])
-
-
-@pytest.mark.parametrize("change", [{"lost_px": 0.0}, {"worse_px": np.nan}])
-def test_options_are_checked(change):
-    check_refused(next(iter(change)), replace, TrackingOptions(), **change)

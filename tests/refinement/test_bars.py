@@ -75,8 +75,8 @@ def suture(tmp_path_factory):
     return recipe, folder
 
 
-def refined_run(folder, *more: str) -> dict:
-    assert main(["refine", str(folder / "run"), "--no-models", "--out", str(folder / "found.json"), *more]) == 0
+def refined_run(folder, more: str = "") -> dict:
+    assert main(f"refine {folder}/run --no-models --out {folder}/found.json {more}".split()) == 0
     return json.loads((folder / "found.json").read_text())[0]
 
 
@@ -95,7 +95,7 @@ def test_its_mean_and_where_it_is_stiffer_are_found(suture):
 @pytest.mark.thorough
 def test_a_uniform_model_is_told_what_it_lacks(suture, capsys):
     recipe, folder = suture
-    found = refined_run(folder, "--stiffness", "uniform")
+    found = refined_run(folder, "--stiffness uniform")
     assert found["advice"][0]["option"] == "--stiffness field" and found["advice"][0]["gain"] > 30
     assert set(found["stiffness_along"]["factor"]) == {1.0}
 

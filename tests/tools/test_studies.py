@@ -7,7 +7,6 @@ import shlex
 import subprocess
 import sys
 from importlib import import_module
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,6 +14,7 @@ import pytest
 from doo_ti import InputError, Material, load_observations
 from doo_ti.commands.help_text import EXAMPLES
 from tests.perception.test_twist import MATERIAL, TWIST
+from tests.processes import ROOT
 from tests.references.rods import at_rest, bows, observed
 from tests.relaxation.rods import lab
 from tools.studies import reproduce
@@ -98,7 +98,6 @@ def test_cables_for_pictures_hang(rng):
     assert np.linalg.norm(np.diff(pose(rng, -30.0, 0.7), axis=0), axis=-1).sum() == pytest.approx(LENGTH, rel=1e-6)
 
 
-ROOT = Path(__file__).resolve().parents[2]
 DOCUMENTS = [*sorted((ROOT / "docs").rglob("*.md")),
              *(ROOT / name for name in ("doo_ti/PAPER.md", "tools/README.md", "README.md", "CONTRIBUTING.md"))]
 MEASURED = [command for page in DOCUMENTS for last in re.findall(r"\*\*Measured with\*\* .*", page.read_text(encoding="utf-8"),

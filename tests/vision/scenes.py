@@ -9,7 +9,6 @@ from tests.oracle.reprojection import Map, polyline_distance
 
 
 def small_rig(count: int = 2) -> Rig:
-    """Distorted cameras 250 mm from the origin, 480 × 360 px."""
     cameras = []
     for index in range(count):
         rotation = cv2.Rodrigues(np.array([0.3 - 0.5 * index, 0.4 * index, 0.1]))[0]
@@ -67,7 +66,6 @@ def curves(random: np.random.Generator, count: int, edges: int, length: float = 
 
 
 def drawn_maps(rig: Rig, rods: np.ndarray, margin: int = 25) -> DistanceMaps:
-    """Maps of the polygons (A, V, 3) in all cameras."""
     values, windows, offset = [], [], 0
     for rod in rods:
         for line in rig.project(rod):

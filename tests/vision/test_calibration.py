@@ -17,7 +17,6 @@ BOARDS = {"chessboard": CHESSBOARD, "tall chessboard": Board(6, 9, 9.0), "charuc
 
 
 def calibrated(seen: list[Sighting], views: int, rig: Rig = around(), board: Board = CHESSBOARD, **options) -> Calibration:
-    """From what cameras with the names and sizes of those of ``rig`` saw."""
     sizes = {camera.name: (camera.width, camera.height) for camera in rig.cameras}
     return calibrate(board.points, seen, sizes, views, **options)
 

@@ -1,7 +1,5 @@
 """The thread under a pixel, by colour and in masks, with glints and needles: drawn by OpenCV, and in photographs of others."""
 
-from pathlib import Path
-
 import cv2
 import numpy as np
 import pytest
@@ -13,6 +11,7 @@ from doo_ti.perception.virtual_lab import lab_rods
 from doo_ti.vision.render import render_set
 from doo_ti.vision.tubes import smooth_curve
 from tests.conftest import check_refused
+from tests.processes import ROOT
 from tests.vision.scenes import normals
 
 SIZE = 400, 600
@@ -166,7 +165,6 @@ def test_cables_in_photographs(shared_data, kind, recall, precision):
     assert found[0].min() > 0.97 and found[1, 0] > recall and found[1, 1] > precision
 
 
-SCENES = Path(__file__).resolve().parents[2] / "scenes"
 DARK, WHITE = (50, 40, 60), (205, 215, 220)
 
 
@@ -220,7 +218,8 @@ def test_strands_side_by_side_are_two_lines(apart):
 @pytest.mark.parametrize("seed", [0, 5, 7])
 def test_a_narrow_loop_is_no_glint(seed):
     """A rod that crosses itself, seen from beside it: two strands three widths apart, on which a line between them ends."""
-    rods, rig = lab_rods(load_scene(SCENES / "silk.toml").observations), Rig(load_rig(SCENES / "rig.yaml").cameras[2:])
+    rods = lab_rods(load_scene(ROOT / "scenes" / "silk.toml").observations)
+    rig = Rig(load_rig(ROOT / "scenes" / "rig.yaml").cameras[2:])
     curve = smooth_curve(rods.curve[rods.names.index("silk_54mm_150deg")], 8)
     recall, precision = shares(detect(render_set(rig, curve, 0.5, seed=seed)[0]).points, rig.project(curve)[0], 2.0)
     assert recall > 0.99 and precision > 0.97

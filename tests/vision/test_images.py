@@ -19,7 +19,6 @@ from tests.vision.test_follow import beside, drawn, shares, wave
 
 
 def picture() -> np.ndarray:
-    """(60, 80) uint8 with a dark line and a light border at its left."""
     image = np.full((60, 80), 180, np.uint8)
     image[:, :5] = 255
     image[28:33] = 40

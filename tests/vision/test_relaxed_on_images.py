@@ -37,7 +37,6 @@ def relaxed(scene, sets: np.ndarray, start: Configuration, nu: float = NU, kind=
 
 
 def energy_vis(scene, row: int, vertices: np.ndarray) -> float:
-    """By the oracle, of a rod without twist."""
     rig, _, maps = scene
     errors = sum(edge_error(camera, map_of(maps, row, c), a, b, POINTS, 40.0)
                  for c, camera in enumerate(rig.cameras) for a, b in zip(vertices[:-1], vertices[1:]))
