@@ -52,15 +52,13 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_make_scheduler(config: pytest.Config, log):
-    """Among several processes: one runs all tests of a file, and one those that share kernels which take long to compile, so
-    that each is compiled once."""
+    """One process runs all tests of a file, and one those that share kernels which take long to compile."""
     from xdist.scheduler import LoadScopeScheduling
 
     class Scheduling(LoadScopeScheduling):
         def _split_scope(self, nodeid: str) -> str:
             sharing = (name for name, tests in SHARED_KERNELS.items() if nodeid.startswith(tests))
             return next(sharing, nodeid.partition("::")[0])
-
     return Scheduling(config, log)
 
 

@@ -130,7 +130,6 @@ def main(name: str, count: int) -> str:
             return numbers(call())
         except BaseException as error:
             return f"{type(error).__name__}: {error}"
-
     with ThreadPoolExecutor(count) as threads:
         found = list(threads.map(work, range(count)))
     wrong = [one for one in found if isinstance(one, str)]

@@ -56,8 +56,7 @@ def objects() -> dict[str, list]:
     """Sound objects of each class, some of which do not match others."""
     rig, _, maps = image()
     grippers, plane = d.Grippers.resting(CLAMPS, 4), d.Plane((0, 0, -150), (0, 0, 1))
-    lost = replace(ROPE, quaternions=np.full_like(ROPE.quaternions, np.nan))
-    theta_fit = d.Theta(1e6 * np.eye(2), 1e6)
+    lost, theta_fit = replace(ROPE, quaternions=np.full_like(ROPE.quaternions, np.nan)), d.Theta(1e6 * np.eye(2), 1e6)
     axes = (d.Axis("bend", np.array([1e5, 1e6])), d.Axis("twist", np.array([1e5, 1e6])))
     found = [
         ROPE, THREE, ROPE.take(NONE), lost, CLAMPS, HELD, CLAMPS.take(NONE), MATERIAL, d.Material([1e5, 2e5], 1e5),
@@ -101,8 +100,7 @@ def functions() -> dict[str, tuple[Callable, dict]]:
     rod, relaxed = {"rod": ROPE}, {"material": MATERIAL, "clamps": CLAMPS}
     moved, touching = {"configuration": ROPE, **relaxed}, {"obstacles": [o["Plane"], d.Itself()], "radius": 1.0}
     moving = {"start": ROPE, "material": MATERIAL, "grippers": o["Grippers"], "dynamics": o["Dynamics"], "stepping": STEPPING}
-    folder = Path(tempfile.gettempdir())
-    walk = {"point": rods[:, 0], "direction": rods[:, 1] - rods[:, 0]}
+    folder, walk = Path(tempfile.gettempdir()), {"point": rods[:, 0], "direction": rods[:, 1] - rods[:, 0]}
     derived = {"solution": solution(), "parameters": ("bend", "modes"), "modes": np.zeros((1, 11, 2))}
     grey = np.tile(np.arange(32.0), (32, 1))
     frame = d.TrackedFrame(rods[0], np.ones(7), 0.0, np.zeros(3), d.Status.CONVERGED, True, d.How.TRACKED)

@@ -133,5 +133,4 @@ def test_importing_costs_nothing_heavy(module):
 
 def test_every_room_is_installed():
     named = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["setuptools"]["packages"]
-    rooms = {".".join(file.parent.relative_to(ROOT).parts) for file in PACKAGE.rglob("*.py")}
-    assert set(named) == rooms | {"doo_ti.scenes"}
+    assert set(named) == {".".join(file.parent.relative_to(ROOT).parts) for file in PACKAGE.rglob("*.py")} | {"doo_ti.scenes"}

@@ -14,19 +14,16 @@ MATERIAL = ["--bend", "6e5", "--twist", "8e5", "--weight", "1"]
 def good_keys() -> dict[str, np.ndarray]:
     rng = np.random.default_rng(SEED)
     vertices, twist = wavy_vertices(rng), np.array([0.1, -2.0, 4.0])
-    frames = twisted_frames(vertices, twist, rng)
-    lengths = np.linalg.norm(np.diff(vertices, axis=1), axis=-1).max(axis=0)
+    frames, lengths = twisted_frames(vertices, twist, rng), np.linalg.norm(np.diff(vertices, axis=1), axis=-1).max(axis=0)
     return {"vertices_mm": vertices, "rest_length_mm": lengths, "start_frame": frames[:, 0], "end_frame": frames[:, -1],
             "total_twist_deg": np.degrees(twist)}
 
 
-def npz_bytes(folder: Path) -> bytes:
+def write_good(folder: Path) -> None:
     np.savez(folder / "good.npz", **good_keys())
-    return (folder / "good.npz").read_bytes()
 
 
 def written(path: Path) -> dict[str, np.ndarray]:
-    """The arrays of an npz."""
     with np.load(path, allow_pickle=False) as file:
         return dict(file)
 

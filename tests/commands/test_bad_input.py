@@ -6,21 +6,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.commands.calls import MATERIAL, good_keys, npz_bytes, refused
+from tests.commands.calls import MATERIAL, good_keys, refused, write_good
 from tests.processes import python
 
-# ---- files of observations: what only commands refuse; the others: tests/io
 
-KEYS = {
-    "clamps further apart than the rod": ("rest_length_mm", lambda x: x / 2, "further apart"),
-    "lengths of another unit": ("rest_length_mm", lambda x: 1000 * x, "mm apart on average"),
-    "an edge of no length": ("rest_length_mm", lambda x: np.where(np.arange(8) == 3, 5e-324, x), "at edge 3"),
-    "a mark far away": ("vertices_mm", lambda v: np.where(v == v[1, 4, 0], 1e6, v), "of observation 1 is 1e+06 mm away")}
-
-
-@pytest.mark.parametrize("case", KEYS)
-def test_wrong_keys(capsys, tmp_path, case):
-    field, change, problem = KEYS[case]
+@pytest.mark.parametrize("field, change, problem", [
+    ("rest_length_mm", lambda x: x / 2, "further apart"), ("rest_length_mm", lambda x: 1000 * x, "mm apart on average"),
+    ("rest_length_mm", lambda x: np.where(np.arange(8) == 3, 5e-324, x), "at edge 3"),
+    ("vertices_mm", lambda v: np.where(v == v[1, 4, 0], 1e6, v), "of observation 1 is 1e+06 mm away")])
+def test_wrong_keys(capsys, tmp_path, field, change, problem):
+    """What only commands refuse; the others: tests/io."""
     np.savez("bad.npz", **good_keys() | {field: change(good_keys()[field])})
     for command, out in (("relax", "F.npz"), ("sweep", "run")):
         refused(capsys, tmp_path, [command, "bad.npz", *MATERIAL, "--out", out], "bad.npz", field, problem)
@@ -37,56 +32,44 @@ def test_files_that_are_not_there_or_those_of_another_command(capsys, tmp_path):
         refused(capsys, tmp_path, words, *expected)
 
 
-# ---- options of relax and sweep in a valid command line, and words of the message; texts of grids: tests/rod/test_grid.py
-
-OPTIONS = {
-    "B not positive definite": (["--bend", "1e5,1e5,2e5"], "--bend", "not positive definite"),
-    "bend no number": (["--bend", "stiff"], "--bend", "'stiff'"),
-    "bend given twice": (["--bend-1", "1e5"], "bend_1", "beside bend"),
-    "twist and ratio": (["--twist-ratio", "1"], "twist_ratio", "beside twist"),
-    "weight negative": (["--weight", "-1e-3"], "--weight", "-0.001"),
-    "frame weight beyond numbers": (["--frame-weight", "1e300"], "--frame-weight", "up to 1e+30"),
-    "twist below numbers": (["--twist", "1e-300"], "--twist", "below 1e-30"),
-    "up no number": (["--up", "0,0,z"], "--up", "'z'"),
-    "up too short": (["--up", "-1,0"], "--up", "direction"),
-    "clamp": (["--clamp-start", "glued"], "--clamp-start", "'glued'"),
-    "unknown option": (["--stretch", "3"], "--stretch", "unknown option"),
-    "abbreviated option": (["--weigh=3"], "--weigh", "unknown option"),
-    "one argument too many": (["more.npz"], "more.npz", "unexpected argument"),
-    "a value for a switch": (["--json=yes"], "--json", "yes"),
-    "an option over two lines": (["--bend", "1e5\n2e5"], "--bend"),
-    "a grid": (["--bend", "1e5:1e6:3"], "--bend", "3 cells"),
-    "nothing holds the rod": (["--clamp-start", "free", "--clamp-end", "free"], "clamps", "both ends are free"),
-    "a frame weight without frames": (["--frame-weight", "2"], "frames", "missing", "--frame-weight")}
+@pytest.mark.parametrize("words, expected", [
+    ("--bend 1e5,1e5,2e5", ("--bend", "not positive definite")), ("--bend stiff", ("--bend", "'stiff'")),
+    ("--bend-1 1e5", ("bend_1", "beside bend")), ("--twist-ratio 1", ("twist_ratio", "beside twist")),
+    ("--weight -1e-3", ("--weight", "-0.001")), ("--frame-weight 1e300", ("--frame-weight", "up to 1e+30")),
+    ("--twist 1e-300", ("--twist", "below 1e-30")), ("--up 0,0,z", ("--up", "'z'")), ("--up -1,0", ("--up", "direction")),
+    ("--clamp-start glued", ("--clamp-start", "'glued'")), ("--stretch 3", ("--stretch", "unknown option")),
+    ("--weigh=3", ("--weigh", "unknown option")), ("more.npz", ("more.npz", "unexpected argument")),
+    ("--json=yes", ("--json", "yes")), ("--bend=1e5\v2e5", ("--bend",)), ("--bend 1e5:1e6:3", ("--bend", "3 cells")),
+    ("--clamp-start free --clamp-end free", ("clamps", "both ends are free")),
+    ("--frame-weight 2", ("frames", "missing", "--frame-weight"))])
+def test_wrong_options(capsys, tmp_path, words, expected):
+    """Of relax, in a valid command line; \v stands for a line break within an option."""
+    write_good(tmp_path)
+    more = [word.replace("\v", "\n") for word in words.split(" ")]
+    refused(capsys, tmp_path, ["relax", "good.npz", *MATERIAL, "--out", "F.npz", *more], *expected)
 
 
-GRIDS = {
-    "grid of zero cells": (["--bend", "1e5:1e6:0"], "--bend", "zero cells"),
-    "grid from below": (["--bend", "1e5", "--twist-ratio", "-1:1:5:lin"], "--twist-ratio", "not positive"),
-    "no bend": (["--twist", "1e5"], "--bend", "missing"),
-    "half of bend": (["--bend-1", "1e5:1e6:3"], "bend_2", "missing"),
-    "seed": (["--bend", "1e5", "--seed", "x"], "--seed", "'x'"),
-    "seed negative": (["--bend", "1e5", "--seed", "-1"], "--seed", "below 0"),
-    "workers without end": (["--bend", "1e5", "--workers", "9223372036854775808"], "--workers", "above 1024"),
-    "a cluster and workers": (["--bend", "1e5", "--workers", "2", "--dask", "tcp://127.0.0.1:1"], "--dask", "--workers")}
-
-
-@pytest.mark.parametrize("case", [*OPTIONS, *GRIDS])
-def test_wrong_options(capsys, tmp_path, case):
-    words, *expected = OPTIONS.get(case) or GRIDS[case]
-    npz_bytes(tmp_path)
-    command, own, out = ("relax", MATERIAL, "F.npz") if case in OPTIONS else ("sweep", [], "run")
-    refused(capsys, tmp_path, [command, "good.npz", *own, "--out", str(tmp_path / out), *words], *expected)
+@pytest.mark.parametrize("words, expected", [
+    ("--bend 1e5:1e6:0", ("--bend", "zero cells")), ("--twist 1e5", ("--bend", "missing")),
+    ("--bend 1e5 --twist-ratio -1:1:5:lin", ("--twist-ratio", "not positive")),
+    ("--bend-1 1e5:1e6:3", ("bend_2", "missing")), ("--bend 1e5 --seed x", ("--seed", "'x'")),
+    ("--bend 1e5 --seed -1", ("--seed", "below 0")),
+    ("--bend 1e5 --workers 9223372036854775808", ("--workers", "above 1024")),
+    ("--bend 1e5 --workers 2 --dask tcp://127.0.0.1:1", ("--dask", "--workers"))])
+def test_wrong_grids_and_other_options_of_sweep(capsys, tmp_path, words, expected):
+    """Texts of grids: tests/rod/test_grid.py."""
+    write_good(tmp_path)
+    refused(capsys, tmp_path, f"sweep good.npz --out run {words}", *expected)
 
 
 def test_unknown_command(capsys, tmp_path):
-    for argv, word in ((["dance"], "dance: unknown command"), (["--bend", "3"], "doo-ti"), (["relax"], "OBS"),
-                       (["sweep", "x.npz"], "--out"), (["learn"], "RUN"), (["convert", "x.npz"], "OUT")):
+    for argv, word in (("dance", "dance: unknown command"), ("--bend 3", "doo-ti"), ("relax", "OBS"), ("sweep x.npz", "--out"),
+                       ("learn", "RUN"), ("convert x.npz", "OUT")):
         refused(capsys, tmp_path, argv, word)
 
 
 def test_outputs_that_cannot_be(capsys, tmp_path):
-    npz_bytes(tmp_path)
+    write_good(tmp_path)
     Path("folder.npz").mkdir()
     Path("dangling").symlink_to("missing")
     sweep = "sweep good.npz --bend 1e5:1e6:3 --out"
@@ -104,7 +87,7 @@ def test_outputs_that_cannot_be(capsys, tmp_path):
 
 
 def test_outputs_that_may_not_be(capsys, tmp_path, monkeypatch):
-    npz_bytes(tmp_path)
+    write_good(tmp_path)
     monkeypatch.setattr(os, "access", lambda path, mode: False)
     for command, out in (("relax", "F.npz"), ("sweep", "new/run")):
         argv = [command, tmp_path / "good.npz", *MATERIAL, "--out", tmp_path / out]

@@ -16,7 +16,7 @@ from doo_ti import Clamp, Grid, InterruptedRunError, Status, load_observations, 
 from doo_ti.commands.cli import main
 from doo_ti.learning.landscape import gather_landscape
 from doo_ti.rod.frames import bishop_frames, unit_vectors
-from tests.commands.calls import MATERIAL, made, npz_bytes, refused, succeeded, written
+from tests.commands.calls import MATERIAL, made, refused, succeeded, write_good, written
 from tests.learning.lab import small_lab
 from tests.processes import python
 
@@ -25,11 +25,8 @@ name = "silk"
 frame_weight_mm = 6.7
 clamp_start = "tangent"
 precision = "f64"
-[observations]
-file = "good.npz"
-[grid]
-bend = "1e5:1e7:3"
-twist_ratio = 0.5
+observations.file = "good.npz"
+grid = { bend = "1e5:1e7:3", twist_ratio = 0.5 }
 """
 
 
@@ -50,7 +47,6 @@ def write_run(run, grid: Grid, distance: np.ndarray, name: str = "silk") -> None
 
 @pytest.fixture
 def swept(monkeypatch) -> list:
-    """Replaces the sweep; keeps its arguments."""
     calls = []
 
     def sweep(run, observations, grid, *, options, pairs, command, linear_density):
@@ -58,14 +54,13 @@ def swept(monkeypatch) -> list:
         write_run(run, grid, np.linspace(2, 1, grid.size)[:, None] + np.zeros(observations.count), observations.name)
         return {**gather_landscape(run, grid, observations.name, None).as_dict(), "gaps": [np.nan], "hypotheses": None,
                 "timing": {"relaxed_rods": 50, "loading_s": 0.2, "relaxation_s": 0.5}}
-
     monkeypatch.setitem(sys.modules, "doo_ti.learning.sweeps", types.SimpleNamespace(sweep=sweep))
     return calls
 
 
 def ribbon(folder: Path) -> None:
     """good.npz with measured frames, which a frame weight needs."""
-    npz_bytes(folder)
+    write_good(folder)
     observations, way = load_observations(folder / "good.npz"), np.array([0.31, 0.52, 0.79])
     tangents = unit_vectors(np.diff(observations.vertices, axis=1))
     across = way - np.sum(way * tangents, axis=-1, keepdims=True) * tangents
@@ -121,7 +116,6 @@ def test_view_opens_the_recording(monkeypatch):
         opened.append(path.name)
         if path.name == "broken":
             raise InterruptedRunError("no window")
-
     monkeypatch.setitem(sys.modules, "doo_ti.record.viewer", types.SimpleNamespace(
         **dict.fromkeys(("open_viewer", "save_screenshot", "serve_viewer"), open_viewer)))
     monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
@@ -144,7 +138,6 @@ def test_view_opens_the_recording(monkeypatch):
 def test_a_command_that_is_stopped_says_whether_it_starts_from_the_beginning(capsys, monkeypatch, command, work, way, failure):
     def fail(*args):
         raise failure
-
     monkeypatch.setattr(f"doo_ti.commands.{work}", fail)
     assert main([command, "source", "--out", "F.json"]) == 1
     out, err = capsys.readouterr()
@@ -152,7 +145,7 @@ def test_a_command_that_is_stopped_says_whether_it_starts_from_the_beginning(cap
 
 
 def test_relax_writes_every_key(capsys, tmp_path):
-    npz_bytes(tmp_path)
+    write_good(tmp_path)
     argv = ["relax", "good.npz", *MATERIAL, "--out", "new/F.npz"]
     text, found = succeeded(capsys, argv), written("new/F.npz")
     assert "3 rods of 8 edges" in text and "new/F.npz" in text
@@ -168,13 +161,13 @@ def test_relax_writes_every_key(capsys, tmp_path):
 
 @pytest.mark.thorough
 def test_machines_get_nothing_but_json(tmp_path):
-    npz_bytes(tmp_path)
+    write_good(tmp_path)
     done = python("-m", "doo_ti", "relax", "good.npz", *MATERIAL, "--json", "--out", "F.npz", folder=tmp_path)
     assert done.returncode == 0 and json.loads(done.stdout)["observations"] == 3
 
 
 def test_relax_picks_the_turn_that_was_seen(tmp_path):
-    npz_bytes(tmp_path)
+    write_good(tmp_path)
     np.savez("unknown.npz", **{name: key for name, key in written("good.npz").items() if name != "total_twist_deg"})
     good, unknown = (made(["relax", f"{name}.npz", *MATERIAL, "--out", "F.npz"]) for name in ("good", "unknown"))
     assert (unknown["distance_mm"] <= good["distance_mm"] + 1e-9).all()

@@ -102,7 +102,6 @@ def test_what_is_done_before_an_interruption_stays(scene, tmp_path, capsys, monk
     def interrupted(*arguments, **options):
         yield next(follow_group(*arguments, **options))
         raise KeyboardInterrupt
-
     monkeypatch.setattr("doo_ti.groups.follow.follow_group", interrupted)
     assert "interrupted: 1 of 3 moments are in" in ended(capsys, "group scene.toml --out f.npz", 1)[1]
     found = written("f.npz")

@@ -67,7 +67,6 @@ def run_script(script: str, folder: Path) -> subprocess.CompletedProcess:
 
 
 def started(folder: Path, line: str) -> subprocess.Popen:
-    """A command in a process group of its own."""
     return subprocess.Popen([sys.executable, "-m", "doo_ti", *line.split()], cwd=folder, stdout=subprocess.PIPE,
                             stderr=subprocess.PIPE, text=True, start_new_session=True,
                             env={**os.environ, "PYTHONPATH": str(ROOT)})
@@ -136,7 +135,6 @@ def test_under_nohup_the_end_of_the_terminal_is_ignored(tmp_path):
 
 
 def answers(port: int, seconds: float = 20.0) -> bool:
-    """Whether a program listens on a port of this machine, within some time."""
     deadline = time.monotonic() + seconds
     while True:
         with socket.socket() as client:

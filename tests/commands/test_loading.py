@@ -187,8 +187,7 @@ def test_results_as_csv(capsys, shipped_data):
     found = {name: written(f"{name}.npz") for name in ("relax", "predict", "twist")}
     np.testing.assert_array_equal(load_observations("relax.csv").vertices, found["relax"]["vertices_mm"])
     head, *lines = Path("predict.csv").read_text().splitlines()
-    assert head.split(",")[:3] == ['"moment"', '"rod"', '"vertex"']
-    assert len(lines) == found["predict"]["vertices_mm"].size // 3
+    assert head.split(",")[:3] == ['"moment"', '"rod"', '"vertex"'] and len(lines) == found["predict"]["vertices_mm"].size // 3
     angles = np.genfromtxt("twist.csv", delimiter=",", names=True, deletechars='"')
     np.testing.assert_allclose(angles["total_twist_deg"], found["twist"]["total_twist_deg"])
 

@@ -100,8 +100,7 @@ def test_rods_begun_by_clicks_end_where_the_thread_ends(photographed, tmp_path, 
     succeeded(capfd, words)
     succeeded(capfd, "convert rods.npz marks.npz --marks 2:-2 --complete")
     found = load_observations("marks.npz")
-    assert found.count == 2 and found.edges == 29
-    assert abs(found.rest_length.sum() / 29 * 33 / (3 * EDGES) - 1) < 0.05
+    assert found.count == 2 and found.edges == 29 and abs(found.rest_length.sum() / 29 * 33 / (3 * EDGES) - 1) < 0.05
     for marks, rod in zip(found.vertices, rods, strict=True):
         assert cKDTree(smooth_curve(rod, 200)).query(marks)[0].max() < 0.2
     Path("sets.csv").write_text("\n".join([lines[0], lines[2].replace(lines[2].split(",")[6], "9")]) + "\n")

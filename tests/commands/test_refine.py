@@ -126,8 +126,7 @@ def test_wrong_input_is_reported_in_a_line_and_nothing_is_written(observed, tmp_
 
 
 def long_outer_edges() -> Observations:
-    """Six cables of 960 mm with marks 120 mm apart, whose clips hold 5 mm and point far away from each other: whole outer edges
-    held so would leave too little rod between them."""
+    """Six cables of 960 mm, marks 120 mm apart, clips that hold 5 mm and point far away from each other."""
     s, rods = (np.arange(96) + 0.5) / 96, []
     for k in range(6):
         away = np.radians(65) * (np.exp(-s / 0.06) - (-1) ** k * np.exp(-(1 - s) / 0.06))
@@ -172,14 +171,8 @@ def test_up_is_three_numbers_or_an_axis(observed, capsys, words, up):
 
 SCENE = """
 name = "cord"
-[synthesis]
-bend = 1.8e6
-twist = 1.2e6
-end_distances_mm = [42.0, 66.0]
-end_rotations_deg = [0.0, 120.0]
-[grid]
-bend = "2e5:5e6:3"
-twist_ratio = "0.3:3:2"
+synthesis = { bend = 1.8e6, twist = 1.2e6, end_distances_mm = [42.0, 66.0], end_rotations_deg = [0.0, 120.0] }
+grid = { bend = "2e5:5e6:3", twist_ratio = "0.3:3:2" }
 """
 
 

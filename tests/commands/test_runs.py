@@ -34,7 +34,6 @@ def runs(monkeypatch, rng) -> None:
     """Runs by name: each material's bowl is lowest at its own cell, silk's pairs at another."""
     def bowl(cell, count):
         return 1 + rng.uniform(0, 0.2, (9, count)) + 0.5 * np.abs(np.arange(9) - cell)[:, None]
-
     built = {name: static(name, bowl(cell, 18), LABELS) for name, cell in (("nylon", 2), ("silk", 4), ("vicryl", 7))}
     built["silk_moved"] = dynamic("silk", bowl(6, len(PAIRS)), PAIRS, end_distance=LABELS)
     monkeypatch.setattr(finished, "read_landscape", lambda run: built[run.name])
@@ -198,7 +197,6 @@ def test_a_failure_on_the_way_keeps_finished_files(one_run, capsys, monkeypatch)
 
     def fail(*args):
         raise RuntimeError("the disk is full")
-
     monkeypatch.setattr(figures, "relax_cells", fail)
     assert "the disk is full" in ended(capsys, f"figures {one_run}/silk --out out", 1)[1].splitlines()[-1]
     assert names(Path("out")) == ["landscapes.png"]

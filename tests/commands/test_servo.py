@@ -26,8 +26,7 @@ VIEWS = {"front": (0.0, 1.0, -0.4), "beside": (-0.8, 0.5, -0.6)}
 def places():
     """(rod at the start, its clamps, (1, V, 3) the true rod's shape after a move of both grippers)."""
     rods, clamps = hanging(150.0, 15, np.zeros((1, 3)), np.array([[100.0, 0.0, 0.0]]), clamp=Clamp.FRAME)
-    start = relax(rods, Material(BEND, BEND), clamps, Newton.careful())
-    true = Material(FACTOR * BEND, FACTOR * BEND)
+    start, true = relax(rods, Material(BEND, BEND), clamps, Newton.careful()), Material(FACTOR * BEND, FACTOR * BEND)
     ends = moved(clamps, np.array([[0, 5, 0, 0.1, 0, 0, 8, 0, 10, 0, 0.2, 0.1]]))
     goal = relax(relax(rods, true, clamps, Newton.careful()).configuration, true, ends, Newton.careful())
     assert start.converged.all() and goal.converged.all()
@@ -85,8 +84,7 @@ def test_the_target_is_reached_though_a_camera_is_covered_now_and_then(folder, c
 
 @pytest.mark.thorough
 def test_with_every_camera_covered_the_rod_moves_as_the_model_says(folder, capsys):
-    words = f"{SERVO} --occlude front:1 --occlude beside:1 --steps 4 --no-recording --json"
-    said = json.loads(succeeded(capsys, words))
+    said = json.loads(succeeded(capsys, f"{SERVO} --occlude front:1 --occlude beside:1 --steps 4 --no-recording --json"))
     assert said["frames"]["lost"] == said["steps"] and said["EI"]["value"] == pytest.approx(EI)
 
 

@@ -125,8 +125,7 @@ def test_poses_of_grippers_without_markers(recording, theta, tmp_path, capsys):
     found = made(command)
     assert found["positions_mm"].shape == (1, 12, 25, 3) and (found["status"] == 0).all() and found["rate_hz"] == 50
     np.testing.assert_allclose(found["positions_mm"][0, :, -1], ends, atol=1e-6)
-    as_before = made(f"simulate poses.npz --start seen.npz {more}")
-    np.testing.assert_array_equal(found["positions_mm"], as_before["positions_mm"])
+    np.testing.assert_array_equal(found["positions_mm"], made(f"simulate poses.npz --start seen.npz {more}")["positions_mm"])
     np.savez("poses.npz", time_s=np.delete(time, 3), end_position_mm=np.delete(ends, 3, axis=0))
     refused(capsys, tmp_path, command, "time_s")
     np.testing.assert_allclose(made(f"{command} --rate 50")["positions_mm"][0, :, -1], ends, atol=0.1)

@@ -12,9 +12,9 @@ import pytest
 from PIL import Image
 
 from doo_ti.commands.cli import main
+from tests.processes import ROOT
 from tools.maintenance.gallery import DRAWN_BY, digest
 
-ROOT = Path(__file__).resolve().parents[2]
 SCRIPTS = [path for path in sorted((ROOT / "docs" / "examples").glob("[0-9][0-9]_*.*")) if path.suffix in (".py", ".sh")]
 DEFAULT = ("01_hang_a_rope.py",)
 """Of the default run; the full run has all but those that take long."""

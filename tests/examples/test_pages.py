@@ -10,7 +10,6 @@ import sys
 from contextlib import chdir, redirect_stdout
 from functools import cache
 from io import StringIO
-from pathlib import Path
 
 import numpy as np
 import pyarrow.parquet
@@ -21,8 +20,8 @@ from doo_ti import Status, sweep
 from doo_ti.commands.cli import main
 from doo_ti.learning.chunks import maker
 from tests.learning.lab import DYNAMIC, GRID, small_lab
+from tests.processes import ROOT
 
-ROOT = Path(__file__).resolve().parents[2]
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
 BLOCK = re.compile(r"^```(\w+)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 
@@ -78,8 +77,7 @@ def clone(tmp_path):
 @pytest.mark.filterwarnings("ignore")
 def test_readme_runs_as_written(clone, capfd):
     """Its commands in order, without the installation, then its Python."""
-    blocks = BLOCK.findall((ROOT / "README.md").read_text(encoding="utf-8"))
-    ran = 0
+    blocks, ran = BLOCK.findall((ROOT / "README.md").read_text(encoding="utf-8")), 0
     with chdir(clone):
         for language, text in blocks:
             if language == "python":
@@ -116,7 +114,7 @@ def test_the_site_builds_without_warnings(tmp_path):
     assert "load_observations" in (tmp_path / "site" / "reference" / "index.html").read_text(encoding="utf-8")
 
 
-PAGE = (Path(__file__).parents[2] / "docs" / "reading_runs.md").read_text(encoding="utf-8")
+PAGE = (ROOT / "docs" / "reading_runs.md").read_text(encoding="utf-8")
 EXAMPLES = dict(re.findall(r"^## ([^\n]+)\n(?:(?!^## ).)*?```python\n(.*?)```", PAGE, re.DOTALL | re.MULTILINE))
 
 

@@ -1,18 +1,12 @@
 """One small good file, or folder, of every format that the commands read, made by the package itself with fixed seeds.
 
-scene.toml dynamic.toml file.toml          scenes: of the virtual lab, under Eq. 3, of a file
-loop.toml                                  a scene of motion
-rods.npz .csv .parquet, ribbons.npz, labs.npz   observations: with frames, on ribbons, of marks alone
-pairs.csv offsets.npz .csv      what goes with them
-path.npz path.csv marks_path.npz           motions
-tied.toml                                  a scene of a group
-swing.toml recorded.npz theta.json         rods in motion: a scene, a recording of two rods, what identify makes of it
-table.toml                                 an obstacle
-run dynamic_run ribbon_run                 folders of finished sweeps
-rig.yaml images/ frames.csv lengths.txt .npz   cameras, sets of images with SETS.csv and truth, a video, a rod
-marks.csv labels.csv                       labelled marks
-views.csv boards/                          images of a calibration board
-perceived.npz                              what perceive wrote
+scene.toml dynamic.toml file.toml loop.toml tied.toml   scenes: virtual lab, Eq. 3, of a file, of motion, of a group
+rods.npz .csv .parquet, ribbons.npz, labs.npz           observations: with frames, on ribbons, of marks alone
+pairs.csv offsets.npz .csv, path.npz .csv marks_path.npz   what goes with them, and motions
+swing.toml recorded.npz theta.json table.toml           a scene of motion, its recording, what identify makes of it; an obstacle
+run dynamic_run ribbon_run perceived.npz                folders of finished sweeps, and what perceive wrote
+rig.yaml images/ frames.csv lengths.txt .npz            cameras, sets of images with SETS.csv and truth, a video, a rod
+marks.csv labels.csv views.csv boards/                  labelled marks, and images of a calibration board
 """
 
 import os
@@ -88,16 +82,10 @@ kind = "plane"
 point = [0, 0, -30]
 normal = [0, 0, 1]
 """
-TABLE = """[[obstacles]]
-kind = "plane"
-point = [0, 0, -60]
-normal = [0, 0, 1]
-friction = 0.2
-"""
+TABLE = 'obstacles = [{ kind = "plane", point = [0, 0, -60], normal = [0, 0, 1], friction = 0.2 }]\n'
 
 def make(folder: Path, quick: bool = False) -> None:
-    """Fill ``folder``, the working directory meanwhile; ``quick``: only with scenes, observations and motions. Raises
-    RuntimeError where the package refuses its own files."""
+    """Fill ``folder``; ``quick``: with scenes, observations and motions. RuntimeError: the package refuses its own files."""
     before = Path.cwd()
     folder.mkdir(parents=True, exist_ok=True)
     os.chdir(folder)
@@ -160,7 +148,6 @@ def _middle() -> np.ndarray:
 
 
 def _rig():
-    """Three small cameras that look at the rods from about 70 mm."""
     return three_cameras(70.0, 0.25, _middle())
 
 

@@ -125,7 +125,6 @@ def bytes_changed(draw, content: bytes) -> bytes:
 
 @st.composite
 def text_changed(draw, content: bytes) -> bytes:
-    """A word, a line or a cell replaced, left out or repeated."""
     lines = content.decode().split("\n")
     row = draw(st.integers(0, len(lines) - 1))
     separator = "," if "," in lines[row] else " "
@@ -144,7 +143,6 @@ def text_changed(draw, content: bytes) -> bytes:
 
 @st.composite
 def npz_changed(draw, content: bytes) -> bytes:
-    """An array of another shape, type or value, left out, or under another name."""
     arrays = dict(np.load(io.BytesIO(content)))
     key = draw(st.sampled_from(sorted(arrays)))
     way = draw(st.sampled_from(["array", "array", "array", "drop", "rename", "member"]))
@@ -177,9 +175,7 @@ def changed(content: bytes, suffix: str) -> st.SearchStrategy[bytes]:
 
 @st.composite
 def words_changed(draw, words: tuple[str, ...]) -> tuple[str, ...]:
-    """A word of a command line replaced, left out, repeated, or an option put in."""
-    at = draw(st.integers(1, len(words) - 1))
-    way = draw(st.sampled_from(["value", "value", "drop", "twice", "option"]))
+    at, way = draw(st.integers(1, len(words) - 1)), draw(st.sampled_from(["value", "value", "drop", "twice", "option"]))
     value, option = draw(st.sampled_from((*NUMBERS, *TEXTS, "1:2:3", "1,2", "x:y"))), draw(st.sampled_from(OPTIONS))
     new = {"value": (value,), "drop": (), "twice": words[at : at + 1] * 2, "option": (words[at], option)}[way]
     if words[at - 1] in PATHS:  # outputs stay below the working folder

@@ -18,14 +18,12 @@ def twisted_frames(vertices: np.ndarray, total_twist: np.ndarray, rng: np.random
     edges = np.diff(vertices, axis=1)
     tangent = edges / np.linalg.norm(edges, axis=-1, keepdims=True)
     bishop = bishop_frames(tangent, np.cross(tangent[:, 0], rng.normal(size=(len(vertices), 3))))
-    angle = total_twist[:, None] * np.linspace(0, 1, edges.shape[1])
-    return matrix_from_quaternion(quaternion_about(tangent, angle)) @ bishop
+    return matrix_from_quaternion(quaternion_about(tangent, total_twist[:, None] * np.linspace(0, 1, edges.shape[1]))) @ bishop
 
 
 def joint_twist(quaternions: np.ndarray) -> np.ndarray:
     """(D, E−1) m_i = 2 atan2(q1, q0) of q = conj(Q_{i−1}) Q_i, written out, rad."""
     a, b = np.moveaxis(quaternions[:, :-1], -1, 0), np.moveaxis(quaternions[:, 1:], -1, 0)
     scalar = a[0] * b[0] + a[1] * b[1] + a[2] * b[2] + a[3] * b[3]
-    along = a[0] * b[1] - a[1] * b[0] - a[2] * b[3] + a[3] * b[2]
-    sign = np.where(scalar < 0, -1.0, 1.0)
+    along, sign = a[0] * b[1] - a[1] * b[0] - a[2] * b[3] + a[3] * b[2], np.where(scalar < 0, -1.0, 1.0)
     return 2 * np.arctan2(sign * along, sign * scalar)

@@ -62,8 +62,7 @@ THIN = "{ length_mm = 9.0, edges = 4, radius_mm = 1.0 }"
 
 
 def small() -> dict[str, bytes]:
-    large = bytes(60_000_000)
-    times = "[" + ", ".join(f"{{ time_s = {n}.0 }}" for n in range(90)) + "]"
+    large, times = bytes(60_000_000), "[" + ", ".join(f"{{ time_s = {n}.0 }}" for n in range(90)) + "]"
     texts = {
         "wide.csv": ",".join(f"c{n}" for n in range(2000)) + "\n", "keys.toml": "a." * 4000 + "a = 1",
         "sparse.csv": "observation,vertex,x,y,z\n" + "".join(f"{n},{9 ** (n % 15)},0,0,{n}\n" for n in range(500)),
@@ -100,7 +99,6 @@ def images() -> dict[str, bytes]:
     def bmp(side: int) -> bytes:
         return b"BM" + struct.pack("<IHHI", 1080, 0, 0, 1078) + struct.pack(
             "<IiiHHIIiiII", 40, side, side, 1, 8, 1, 4, 0, 0, 256, 0) + bytes(1024) + b"\0\1"
-
     gif = b"GIF89a" + struct.pack("<HHBBB", size, size, 0x80, 0, 0) + bytes(6) + b"\x2c" + struct.pack(
         "<HHHHB", 0, 0, size, size, 0) + b"\x02\x02\x44\x01\x00\x3b"
     tags = ((256, 4, most), (257, 4, most), (258, 3, 8), (259, 3, 8), (262, 3, 1), (273, 4, 8), (277, 3, 1), (278, 4, most),
@@ -134,7 +132,6 @@ def readers() -> dict[str, list]:
     def read_motion_scene(path):
         found = load_motion_scene(path)
         assert found.path.count and found.surroundings(found.between) is not None
-
     rig, seen = load_rig(ROOT / "scenes/rig.yaml"), Observations(MARKS, rest_length=np.ones(3))
     curves = [load_observations, lambda path: read_recording(path, rate=10.0)]
     mesh = [lambda path: DistanceGrid.from_mesh(path, 3.0)]
@@ -152,7 +149,6 @@ def readers() -> dict[str, list]:
 
 
 def read_all(folder: Path, answers) -> None:
-    """Read every file in the folder in every way, and send what went wrong: the file, and an error or bytes of memory."""
     by_suffix = readers()
     most = MOST_ADDRESSES + resource.getpagesize() * int(Path("/proc/self/statm").read_text().split()[0])
     resource.setrlimit(resource.RLIMIT_AS, (most, most))

@@ -93,8 +93,7 @@ FORMS = {
 
 
 def written(folder, names, values, name: str = "x.csv"):
-    rows = [",".join(map(repr, row)) for row in np.asarray(values).tolist()]
-    (folder / name).write_text("\n".join([",".join(names), *rows]))
+    (folder / name).write_text("\n".join([",".join(names), *[",".join(map(repr, row)) for row in np.asarray(values).tolist()]]))
     return folder / name
 
 

@@ -52,20 +52,16 @@ def test_defaults(rng):
     vertices = wavy_vertices(rng, count=5)
     vertices[2, 1] += 0.5
     observations = Observations(vertices)
-    chords = np.median(np.linalg.norm(np.diff(vertices, axis=1), axis=-1), axis=0)
-    np.testing.assert_allclose(observations.rest_length, chords)
-    assert observations.spacing_error == 0.1
-    assert observations.valid.all() and observations.valid.shape == vertices.shape[:2]
+    np.testing.assert_allclose(observations.rest_length, np.median(np.linalg.norm(np.diff(vertices, axis=1), axis=-1), axis=0))
+    assert observations.spacing_error == 0.1 and observations.valid.all() and observations.valid.shape == vertices.shape[:2]
     np.testing.assert_array_equal(observations.up, [0, 0, 1])
     others = [name for name in KEYS if name not in ("vertices", "valid", "rest_length", "up", "labels", "spacing_error")]
-    assert observations.labels.tolist() == [0, 1, 2, 3, 4]
-    assert all(getattr(observations, name) is None for name in others)
+    assert observations.labels.tolist() == [0, 1, 2, 3, 4] and all(getattr(observations, name) is None for name in others)
 
 
 def test_default_rest_length_leaves_missing_marks_out(rng):
     vertices = wavy_vertices(rng, count=3)
-    expected = np.linalg.norm(np.diff(vertices[1:], axis=1), axis=-1)
-    valid = np.ones((3, 9), dtype=bool)
+    expected, valid = np.linalg.norm(np.diff(vertices[1:], axis=1), axis=-1), np.ones((3, 9), dtype=bool)
     valid[0, 4] = False
     vertices[0, 4] = np.nan
     np.testing.assert_allclose(Observations(vertices, valid).rest_length[3:5], np.median(expected[:, 3:5], axis=0))
@@ -97,41 +93,23 @@ def test_take_keeps_what_belongs_to_an_observation(tmp_path, rng):
     np.testing.assert_array_equal(taken.end_distance, [54, 30, 30])
 
 
-# One wrong key each: key, its value from the right one, a word of the problem.
-WRONG = {
-    "vertices two-dimensional": ("vertices_mm", lambda v: v[0], "shape (9, 3)"),
-    "vertices without z": ("vertices_mm", lambda v: v[..., :2], "shape (3, 9, 2)"),
-    "no observation": ("vertices_mm", lambda v: v[:0], "shape (0, 9, 3)"),
-    "two marks": ("vertices_mm", lambda v: v[:, :2], "shape (3, 2, 3)"),
-    "infinite vertex": ("vertices_mm", lambda v: np.where(v == v[0, 0, 0], np.inf, v), "inf"),
-    "valid misshapen": ("valid", lambda v: v[:, :-1], "shape (3, 8)"),
-    "valid not boolean": ("valid", lambda v: v * 2, "other values than true and false"),
-    "hardly any mark": ("valid", lambda v: v & (np.arange(9) == 1), "fewer than two"),
-    "boolean vertices": ("vertices_mm", lambda v: v > 0, "bool"),
-    "objects": ("vertices_mm", lambda v: v.astype(object), "cannot be read"),
-    "negative rest length": ("rest_length_mm", lambda v: np.where(np.arange(8) == 3, -v, v), "at edge 3"),
-    "zero rest length": ("rest_length_mm", lambda v: v * (np.arange(8) != 5), "0 mm at edge 5"),
-    "rest-length count": ("rest_length_mm", lambda v: v[:5], "shape (5,)"),
-    "start frame not orthonormal": ("start_frame", lambda v: v * 1.01, "not orthonormal"),
-    "end frame left-handed": ("end_frame", lambda v: v * [1, 1, -1], "left-handed"),
-    "end frame not finite": ("end_frame", lambda v: v * np.nan, "nan"),
-    "frames one short": ("frames", lambda v: v[:, :-1], "E = 8"),
-    "frames left-handed": ("frames", lambda v: v[..., [1, 0, 2]], "left-handed"),
-    "twist not a number": ("total_twist_deg", lambda v: v * np.nan, "nan"),
-    "up zero": ("up", lambda v: 0 * v, "no direction"),
-    "sigma negative": ("sigma_mm", lambda v: -v, "-0."),
-    "sigma misshapen": ("sigma_mm", lambda v: v[0], "shape (9,)"),
-    "end distance negative": ("end_distance_mm", lambda v: v - 40, "-10 mm"),
-    "end rotation not finite": ("end_rotation_deg", lambda v: v + np.inf, "at [0]")}
-
-
-@pytest.mark.parametrize("case", WRONG)
-def test_wrong_keys_are_named(tmp_path, rng, case):
-    key, wrong, problem = WRONG[case]
-    keys = full_keys(rng)
-    keys[key] = wrong(keys[key])
-    path = tmp_path / "bad.npz"
-    np.savez(path, **keys)
+@pytest.mark.parametrize("key, wrong, problem", [
+    ("vertices_mm", lambda v: v[0], "shape (9, 3)"), ("vertices_mm", lambda v: v[..., :2], "shape (3, 9, 2)"),
+    ("vertices_mm", lambda v: v[:0], "shape (0, 9, 3)"), ("vertices_mm", lambda v: v[:, :2], "shape (3, 2, 3)"),
+    ("vertices_mm", lambda v: np.where(v == v[0, 0, 0], np.inf, v), "inf"), ("vertices_mm", lambda v: v > 0, "bool"),
+    ("vertices_mm", lambda v: v.astype(object), "cannot be read"), ("valid", lambda v: v[:, :-1], "shape (3, 8)"),
+    ("valid", lambda v: v * 2, "other values than true and false"),
+    ("valid", lambda v: v & (np.arange(9) == 1), "fewer than two"),
+    ("rest_length_mm", lambda v: np.where(np.arange(8) == 3, -v, v), "at edge 3"),
+    ("rest_length_mm", lambda v: v * (np.arange(8) != 5), "0 mm at edge 5"), ("rest_length_mm", lambda v: v[:5], "shape (5,)"),
+    ("start_frame", lambda v: v * 1.01, "not orthonormal"), ("end_frame", lambda v: v * [1, 1, -1], "left-handed"),
+    ("end_frame", lambda v: v * np.nan, "nan"), ("frames", lambda v: v[:, :-1], "E = 8"),
+    ("frames", lambda v: v[..., [1, 0, 2]], "left-handed"), ("total_twist_deg", lambda v: v * np.nan, "nan"),
+    ("up", lambda v: 0 * v, "no direction"), ("sigma_mm", lambda v: -v, "-0."), ("sigma_mm", lambda v: v[0], "shape (9,)"),
+    ("end_distance_mm", lambda v: v - 40, "-10 mm"), ("end_rotation_deg", lambda v: v + np.inf, "at [0]")])
+def test_wrong_keys_are_named(tmp_path, rng, key, wrong, problem):
+    keys, path = full_keys(rng), tmp_path / "bad.npz"
+    np.savez(path, **keys | {key: wrong(keys[key])})
     check_refused("^" + re.escape(f"{path}: {key}: ") + ".*" + re.escape(problem), load_observations, path)
 
 

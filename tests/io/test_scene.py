@@ -74,48 +74,29 @@ def test_an_anisotropic_scene(tmp_path):
     assert scene.grid.bend_12 == -1e6 and scene.observations.frames
 
 
-def synthesis(line: str) -> dict:
-    return {"data": GOOD["data"] + line + "\n"}
+RECIPE = "[synthesis]\nbend = {}\ntwist = {}\n"
 
 
-WRONG = {
-    "no TOML": ({"top": "name = silk\n"}, "file"),
-    "TOML without end": ({"top": f"x={'[' * 20_000}"}, "file"),
-    "a name that leads elsewhere": ({"top": 'name = "../../x"\n'}, "name"),
-    "a name that is none": ({"top": 'name = "a\\u0000b"\n'}, "name"),
-    "unknown key": ({"top": "colour = 3\n"}, "colour"),
-    "unknown grid key": ({"grid": "[grid]\nbend = 3\nstretch = 3\n"}, "grid.stretch"),
-    "no data": ({"data": ""}, "observations"),
-    "twice data": ({"data": GOOD["data"] + '[observations]\nfile = "x.npz"\n'}, "observations"),
-    "no file": ({"data": "[observations]\n"}, "observations.file"),
-    "no grid": ({"grid": ""}, "grid"),
-    "grid of zero cells": ({"grid": '[grid]\nbend = "1e5:1e6:0"\n'}, "bend"),
-    "grid without bend": ({"grid": "[grid]\ntwist = 3\n"}, "bend"),
-    "axis no number": ({"grid": "[grid]\nbend = [1, 2]\n"}, "grid.bend"),
-    "clamp": ({"top": 'clamp_start = "glued"\n'}, "clamp_start"),
-    "objective": ({"top": 'objective = "both"\n'}, "objective"),
-    "pairs of a static scene": ({"top": 'pairs = "pairs.csv"\n'}, "pairs"),
-    "spins negative": ({"top": "spins = -1\n"}, "spins"),
-    "precision": ({"top": "precision = 64\n"}, "precision"),
-    "frame weight": ({"top": "frame_weight_mm = -1\n"}, "frame_weight_mm"),
-    "no twist": ({"data": "[synthesis]\nbend = 1e5\n"}, "synthesis.twist"),
-    "bend not definite": ({"data": "[synthesis]\nbend = [[1, 2], [2, 1]]\ntwist = 1\n"}, "synthesis.bend"),
-    "bend asymmetric": ({"data": "[synthesis]\nbend = [[1, 0.5], [0, 1]]\ntwist = 1\n"}, "synthesis.bend"),
-    "bend ragged": ({"data": "[synthesis]\nbend = [[1], [2, 3]]\ntwist = 1\n"}, "synthesis.bend"),
-    "twist negative": ({"data": "[synthesis]\nbend = 1\ntwist = -1\n"}, "synthesis.twist"),
-    "bend not a number": ({"data": "[synthesis]\nbend = nan\ntwist = 1\n"}, "synthesis.bend"),
-} | {line: (synthesis(line), f"synthesis.{line.split(' = ')[0]}") for line in (
-    "stretch = 3", "seed = -1", "marks = 2", "marks = 30", f"marks = {'9' * 400}", "clip_mm = 2.5", "clip_mm = 50",
-    "clip_mm = [3, 2.5]", "clip_mm = nan", "clip_mm = [3, 3, 3]", "clip_mm = [0, 3]", "rest_curvature_range_mm = 100",
-    "clip_tilt_deg = 180", "clip_offset_mm = nan", "end_distances_mm = [30, 120]", "end_distances_mm = []",
-    "end_rotations_deg = [0, 0]", "end_rotations_deg = [1e18]", "start_direction = [0, 0, 0]")}
-
-
-@pytest.mark.parametrize("case", WRONG)
-def test_wrong_scenes_are_named(tmp_path, case):
-    parts, field = WRONG[case]
-    path = write(tmp_path, **parts)
-    remedy = "; .*label_noise_mm" if case == "stretch = 3" else ""
+@pytest.mark.parametrize("part, text, field", [
+    ("top", "name = silk\n", "file"), ("top", f"x={'[' * 20_000}", "file"), ("top", 'name = "../../x"\n', "name"),
+    ("top", 'name = "a\\u0000b"\n', "name"), ("top", "colour = 3\n", "colour"), ("data", "", "observations"),
+    ("grid", "[grid]\nbend = 3\nstretch = 3\n", "grid.stretch"), ("data", "[observations]\n", "observations.file"),
+    ("data", GOOD["data"] + '[observations]\nfile = "x.npz"\n', "observations"), ("grid", "", "grid"),
+    ("grid", '[grid]\nbend = "1e5:1e6:0"\n', "bend"), ("grid", "[grid]\ntwist = 3\n", "bend"),
+    ("grid", "[grid]\nbend = [1, 2]\n", "grid.bend"), ("top", 'clamp_start = "glued"\n', "clamp_start"),
+    ("top", 'objective = "both"\n', "objective"), ("top", 'pairs = "pairs.csv"\n', "pairs"), ("top", "spins = -1\n", "spins"),
+    ("top", "precision = 64\n", "precision"), ("top", "frame_weight_mm = -1\n", "frame_weight_mm"),
+    ("data", "[synthesis]\nbend = 1e5\n", "synthesis.twist"), ("data", RECIPE.format(1, -1), "synthesis.twist"),
+    *(("data", RECIPE.format(bend, 1), "synthesis.bend") for bend in (
+        "[[1, 2], [2, 1]]", "[[1, 0.5], [0, 1]]", "[[1], [2, 3]]", "nan")),
+    *(("data", f"{GOOD['data']}{line}\n", f"synthesis.{line.split(' = ')[0]}") for line in (
+        "stretch = 3", "seed = -1", "marks = 2", "marks = 30", f"marks = {'9' * 400}", "clip_mm = 2.5", "clip_mm = 50",
+        "clip_mm = [3, 2.5]", "clip_mm = nan", "clip_mm = [3, 3, 3]", "clip_mm = [0, 3]", "rest_curvature_range_mm = 100",
+        "clip_tilt_deg = 180", "clip_offset_mm = nan", "end_distances_mm = [30, 120]", "end_distances_mm = []",
+        "end_rotations_deg = [0, 0]", "end_rotations_deg = [1e18]", "start_direction = [0, 0, 0]"))])
+def test_wrong_scenes_are_named(tmp_path, part, text, field):
+    path = write(tmp_path, **{part: text})
+    remedy = "; .*label_noise_mm" if field == "synthesis.stretch" else ""
     check_refused("^" + re.escape(f"{path}: {field}: ") + f".*{remedy}", load_scene, path)
 
 
@@ -210,12 +191,8 @@ def test_quantities_between_moments(moments, first):
 
 
 MOTION = """
-[rod]
-length_mm = 60.0
-edges = 20
-[materials.cord]
-bend = 1e6
-twist = 5e5
+rod = { length_mm = 60.0, edges = 20 }
+materials.cord = { bend = 1e6, twist = 5e5 }
 [[moments]]
 end_position_mm = [50, 0, 0]
 [[moments]]
@@ -241,9 +218,8 @@ def test_a_loop_is_thrown_and_pops_out():
 
 
 def test_omitted_quantities_stay_as_they_were(tmp_path):
-    file = tmp_path / "scene.toml"
-    file.write_text(MOTION, encoding="utf-8")
-    scene = load_motion_scene(file)
+    (tmp_path / "scene.toml").write_text(MOTION, encoding="utf-8")
+    scene = load_motion_scene(tmp_path / "scene.toml")
     assert scene.name == "scene" and scene.between == 1 and scene.start.edges == 20
     np.testing.assert_allclose(scene.path.end_position[:, 0], [[50, 0, 0], [50, 0, 0]])
     np.testing.assert_allclose(scene.clamps.end_position, [[60, 0, 0]])
@@ -272,13 +248,13 @@ def test_a_clamp_that_turns_along_the_material_has_a_frame(tmp_path):
 
 
 @pytest.mark.parametrize("old, new, word", [
-    ("[rod]", "[rods]", "rod"), ("edges = 20", "edges = 2", "rod.edges"), ("= 60.0", "= -1", "rod.length_mm"),
-    ("[materials.cord]", "[materials]", "materials"), ("bend = 1e6", "bend = [1, 2]", "bend"),
+    ("rod = ", "rods = ", "rod"), ("edges = 20", "edges = 2", "rod.edges"), ("= 60.0", "= -1", "rod.length_mm"),
+    ("materials.cord", "materials", "materials"), ("bend = 1e6", "bend = [1, 2]", "bend"),
     ("bend = 1e6", "bend = -1e6", "positive definite"), ("time_s = 1", "", "time_s"), ("time_s = 1", "time_s = 0", "rise"),
     ("[50, 0, 0]", "[50, 0]", "end_position_mm"), ("end_rotation_deg = 30", "end_direction = [0, 0, 0]", "end_direction"),
     ("end_rotation_deg = 30", "colour = 3", "moments\\[1\\].colour"),
     ("end_rotation_deg = 30", 'end_turns = "two"', "end_turns"),
-    ("edges = 20", "edges = 45\nradius_mm = 0.8\nknot_loop_mm = 10.0", "rod.length_mm: 60 mm"),
+    ("edges = 20", "edges = 45, radius_mm = 0.8, knot_loop_mm = 10.0", "rod.length_mm: 60 mm"),
     ("length_mm", "length = [", "TOML")])
 def test_wrong_scenes_of_motion_are_named(tmp_path, old, new, word):
     file = tmp_path / "scene.toml"
@@ -288,6 +264,6 @@ def test_wrong_scenes_of_motion_are_named(tmp_path, old, new, word):
 
 
 def test_names_of_several_lines_take_one(tmp_path):
-    (tmp_path / "scene.toml").write_text('name = "a\\nb"\n' + MOTION.replace("[materials.cord]", '[materials."c\\nd"]'))
+    (tmp_path / "scene.toml").write_text('name = "a\\nb"\n' + MOTION.replace("materials.cord", 'materials."c\\nd"'))
     scene = load_motion_scene(tmp_path / "scene.toml")
     assert scene.name == r"a\nb" and scene.names == (r"c\nd",)

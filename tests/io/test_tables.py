@@ -68,7 +68,6 @@ def test_a_plain_csv_written_by_hand(tmp_path):
 
 
 def table(rng) -> dict[str, list]:
-    """The columns of a good table of two observations of four vertices."""
     vertices = wavy_vertices(rng, count=2, marks=4)
     columns = {"observation": [0] * 4 + [1] * 4, "vertex": [0, 1, 2, 3] * 2}
     columns |= {f"{axis}_mm": vertices[..., k].ravel().tolist() for k, axis in enumerate("xyz")}
@@ -79,29 +78,23 @@ def change(columns: dict, name: str, row: int, value) -> None:
     columns[name] = [*columns[name][:row], value, *columns[name][row + 1 :]]
 
 
-WRONG = {
-    "missing column": (lambda c: c.pop("y_mm"), "y_mm", "the column is missing"),
-    "vertex twice": (lambda c: change(c, "vertex", 2, 1), "vertex", "observation 0"),
-    "negative vertex": (lambda c: change(c, "vertex", 0, -1), "vertex", "observation 0"),
-    "half a vertex": (lambda c: change(c, "vertex", 2, 1.5), "vertex", "not a whole number"),
-    "text": (lambda c: c.update(x_mm=["three"] * 8), "x_mm", "'three' in"),
-    "hardly any mark": (lambda c: [change(c, "x_mm", row, None) for row in (4, 5, 6)], "vertices_mm", "observation 1"),
-    "valid without a place": (lambda c: (c.update(valid=[1] * 8), change(c, "x_mm", 6, None)), "vertices_mm",
-                              "observation 1, vertex 2"),
-    "vertex far beyond": (lambda c: change(c, "vertex", 7, 10**12), "vertex", "1000000000000"),
-    "fewer rows": (lambda c: (c.pop("vertex"), [values.pop() for values in c.values()]), "vertex", "observation 1"),
-    "labels that differ": (lambda c: change(c, "total_twist_deg", 6, 11.0), "total_twist_deg", "observation 1"),
-    "lengths that differ": (lambda c: change(c, "rest_length_mm", 5, 4.0), "rest_length_mm", "observation 1"),
-    "half a frame": (lambda c: c.update(start_frame_t_x=[1.0] * 8), "start_frame_m1_x", "missing beside")}
-
-
 @pytest.mark.parametrize("suffix", SUFFIXES)
-@pytest.mark.parametrize("case", WRONG)
-def test_wrong_tables_are_named(tmp_path, rng, case, suffix):
-    edit, field, problem = WRONG[case]
-    columns = table(rng)
+@pytest.mark.parametrize("edit, field, problem", [
+    (lambda c: c.pop("y_mm"), "y_mm", "the column is missing"),
+    (lambda c: change(c, "vertex", 2, 1), "vertex", "observation 0"),
+    (lambda c: change(c, "vertex", 0, -1), "vertex", "observation 0"),
+    (lambda c: change(c, "vertex", 2, 1.5), "vertex", "not a whole number"),
+    (lambda c: c.update(x_mm=["three"] * 8), "x_mm", "'three' in"),
+    (lambda c: [change(c, "x_mm", row, None) for row in (4, 5, 6)], "vertices_mm", "observation 1"),
+    (lambda c: (c.update(valid=[1] * 8), change(c, "x_mm", 6, None)), "vertices_mm", "observation 1, vertex 2"),
+    (lambda c: change(c, "vertex", 7, 10**12), "vertex", "1000000000000"),
+    (lambda c: (c.pop("vertex"), [values.pop() for values in c.values()]), "vertex", "observation 1"),
+    (lambda c: change(c, "total_twist_deg", 6, 11.0), "total_twist_deg", "observation 1"),
+    (lambda c: change(c, "rest_length_mm", 5, 4.0), "rest_length_mm", "observation 1"),
+    (lambda c: c.update(start_frame_t_x=[1.0] * 8), "start_frame_m1_x", "missing beside")])
+def test_wrong_tables_are_named(tmp_path, rng, edit, field, problem, suffix):
+    columns, path = table(rng), tmp_path / f"bad{suffix}"
     edit(columns)
-    path = tmp_path / f"bad{suffix}"
     write(path, columns)
     check_refused(f"^{re.escape(f'{path}: {field}: ')}.*{re.escape(problem)}", load_observations, path)
 
@@ -229,21 +222,15 @@ def test_spreadsheets_with_decimal_commas(tmp_path, content):
 
 def test_points_and_commas_before_decimals_are_not_mixed(tmp_path):
     """1.234 beside 1,5 is one thousand, or a mistake."""
-    table = read_csv(tmp_path / "x.csv", ("x", "y"), content=b"x;y\n1,5;1.234\n")
-    check_refused("y: '1.234' in line 2", table.numbers, "y")
+    check_refused("y: '1.234' in line 2", read_csv(tmp_path / "x.csv", ("x", "y"), content=b"x;y\n1,5;1.234\n").numbers, "y")
     np.testing.assert_array_equal(read_csv(tmp_path / "x.csv", ("x",), content=b"x;y\n1.5;1.234\n").numbers("y"), [1.234])
 
 
-WRONG_CSV = {
-    "not text": (b"\xff\xfe\xfa", "file"), "no rows": (b"a,b\n", "file"), "empty": (b"", "a"), "missing": (b"a\n1\n", "b"),
-    "unknown": (b"a,b,d\n1,2,3\n", "d"), "twice": (b"a,b,b\n1,2,3\n", "b"), "long line": (b"a,b\n1,2\n1,2,3\n", "line 3"),
-    "short line": (b"a,b\n1,2\n1\n", "line 3"), "open quote": (b'a,b\n1,"2\n3,4\n', "file"),
-    "line break": (b'a,b\n1,"2\n3"\n', "line 3")}
-
-
-@pytest.mark.parametrize("case", WRONG_CSV)
-def test_wrong_files_are_named(tmp_path, case):
-    content, field = WRONG_CSV[case]
+@pytest.mark.parametrize("content, field", [
+    (b"\xff\xfe\xfa", "file"), (b"a,b\n", "file"), (b"", "a"), (b"a\n1\n", "b"), (b"a,b,d\n1,2,3\n", "d"),
+    (b"a,b,b\n1,2,3\n", "b"), (b"a,b\n1,2\n1,2,3\n", "line 3"), (b"a,b\n1,2\n1\n", "line 3"),
+    (b'a,b\n1,"2\n3,4\n', "file"), (b'a,b\n1,"2\n3"\n', "line 3")])
+def test_wrong_files_are_named(tmp_path, content, field):
     check_refused(f"x.csv: {field}: ", read_csv, tmp_path / "x.csv", ("a", "b"), ("c",), content=content)
 
 
@@ -251,15 +238,12 @@ def test_wrong_files_are_named(tmp_path, case):
 def test_a_cell_that_is_no_number_is_named_with_its_line(tmp_path, cell):
     table = read_csv(tmp_path / "x.csv", ("a",), content=f'a\n1\n\n"{cell}"\n'.encode() if cell else b"a,b\n1,\n\n,2\n")
     check_refused(f": a: {cell!r}.* line 4", table.numbers, "a")
+    check_refused("'1.5' in line 3", read_csv(tmp_path / "x.csv", ("a",), content=b"a\n1\n1.5\n").whole, "a")
 
 
 def test_lines_that_begin_with_a_number_sign_are_left_out_at_the_top(tmp_path):
     table = read_csv(tmp_path / "x.csv", ("a", "b"), content=b"# written by some tool, in mm\n#\na,b\n1,2\n")
     assert table.numbers("b").tolist() == [2.0] and table.lines == [4]
-
-
-def test_incomplete_rows_are_named(tmp_path):
-    check_refused("'1.5' in line 3", read_csv(tmp_path / "x.csv", ("a",), content=b"a\n1\n1.5\n").whole, "a")
 
 
 def test_lengths_with_decimal_commas_are_not_taken_for_two(tmp_path):

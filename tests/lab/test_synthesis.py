@@ -1,4 +1,4 @@
-"""The virtual lab: what observations contain, and what they do not; clips whose real pose differs from the reported one."""
+"""The virtual lab: what observations contain, clips whose real pose is another one; and the rods that are timed."""
 
 from dataclasses import replace
 from functools import cache
@@ -7,11 +7,16 @@ import numpy as np
 import pytest
 
 from doo_ti import Clamp, Clamps, InterruptedRunError, Material, relax
-from doo_ti.io.scene import Synthesis
+from doo_ti.io.scene import Synthesis, load_scene
+from doo_ti.lab import cases as timed
 from doo_ti.lab import synthesis as lab
+from doo_ti.lab import workload
+from doo_ti.lab.cases import Case, Outcome, Specimens, measure
 from doo_ti.lab.synthesis import ClipErrors, fine_vertices, synthesise
+from doo_ti.relaxation import batch
 from doo_ti.rod.frames import quaternion_from_matrix
 from tests.io.rods import joint_twist
+from tests.processes import ROOT
 from tests.references.rods import chain, clamps_at
 
 DISTANCES, ROTATIONS = (42.0, 66.0, 84.0), (0.0, 90.0, 180.0, 270.0)
@@ -41,8 +46,7 @@ def test_the_same_recipe_gives_the_same_observations(recipe):
 @pytest.mark.sampled(1)
 @pytest.mark.parametrize("recipe", [ROUND, FLAT, replace(ROUND, clip_mm=(2.0, 7.0))], ids=["round", "flat", "unequal clips"])
 def test_clips_hold_straight_pieces_where_they_should(recipe):
-    """The marks in a clip, those on its inner edge included, lie on its axis at its place, free of noise; the frames are the
-    clips'."""
+    """Marks in a clip, its inner edge included, lie on its axis, free of noise; the frames are the clips'."""
     observations, rods = observed(recipe), lab.fine_vertices(recipe)
     near, far = (np.array(d) / np.linalg.norm(d) for d in (recipe.start_direction, recipe.end_direction))
     first, last = (round(clip) for clip in recipe.clips_mm)
@@ -75,8 +79,7 @@ def test_the_end_clip_turns_by_the_end_rotation():
 @pytest.mark.sampled(1)
 @both
 def test_noise_is_of_the_asked_for_size(recipe):
-    """Rest curvature is drawn first, so without noise the same seed gives the same shapes. On marks that clips hold there is
-    noise on request; that of the free marks stays as it was."""
+    """The same seed gives the same shapes without noise; on request there is noise on held marks, that of others stays."""
     noisy, clean = observed(recipe), observed(quiet(recipe))
     inner = (noisy.vertices - clean.vertices)[:, 2:-2]
     assert abs(inner.mean()) < 4 * recipe.label_noise_mm / np.sqrt(inner.size)
@@ -97,8 +100,7 @@ def test_rest_curvature_has_the_asked_for_size():
     assert rest.shape[0] == 1 and rest.shape[1] > 2900
     np.testing.assert_allclose(rest.std(axis=(0, 1)), 1 / 900, rtol=0.06)
     assert (np.abs(rest.mean(axis=(0, 1))) < 4 / 900 / np.sqrt(rest.shape[1])).all()
-    assert abs(np.corrcoef(rest[0].T)[0, 1]) < 0.08
-    assert abs(np.corrcoef(rest[0, 1:, 0], rest[0, :-1, 0])[0, 1]) < 0.08
+    assert abs(np.corrcoef(rest[0].T)[0, 1]) < 0.08 and abs(np.corrcoef(rest[0, 1:, 0], rest[0, :-1, 0])[0, 1]) < 0.08
 
 
 @pytest.mark.parametrize("reach", [4.0, 25.0])
@@ -201,3 +203,51 @@ def test_a_tilt_turns_the_clip_about_its_outer_end_and_turns_with_it():
         size = np.linalg.norm(tilt[end])
         a, b = tilt[end] * np.sin(size) / size
         np.testing.assert_allclose(seen_in(frame, piece), np.tile(3 * np.array([np.cos(size), b, -a]), (9, 1)), atol=1e-8)
+
+
+RODS = 48
+
+
+@pytest.fixture(scope="module", autouse=True)
+def short_rounds():
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(timed, "ROUND_SECONDS", 0.0)
+        yield
+
+
+@pytest.fixture(scope="module")
+def reference():
+    return workload.Reference(1)
+
+
+@pytest.fixture(scope="module")
+def specimens():
+    return Specimens(RODS)
+
+
+@pytest.mark.thorough
+def test_only_rods_that_converged_count(specimens):
+    solution = specimens.many.relaxed(timed.Newton(max_iterations=6), "f64")
+    done = solution.converged
+    assert 0 < done.sum() < RODS
+    outcome = timed.converged((solution, 0))
+    assert (outcome.amount, outcome.converged) == (done.sum(), done.mean())
+    assert outcome.residual == solution.residual[done].max()
+
+
+@pytest.mark.thorough
+def test_trips_are_counted_by_launch(monkeypatch, specimens):
+    """Of all lanes, idle ones too; of a launch in f64 only where it ended a rod."""
+    monkeypatch.setattr(batch, "pack_trips", {32: (10, 16), 64: (5, 8)}.__getitem__)
+    for precision, count in (("f32", 160), ("mixed", 200), ("f64", 40)):
+        assert timed.trips(specimens.many.relaxed(timed.COARSE, precision), precision) == count
+
+
+def test_busy_lanes(reference):
+    found = measure(Case("made up", "rods/s", lambda: Outcome(3.0, iterations=np.array([20, 40, 90]), trips=200)), reference, 1)
+    assert found.busy == 150 / 200
+
+
+@pytest.mark.parametrize("name", workload.LAB)
+def test_the_rods_are_those_of_the_shipped_scenes(name):
+    assert replace(load_scene(ROOT / "scenes" / f"{name}.toml").observations, source="synthesis") == workload.LAB[name]

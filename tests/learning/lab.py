@@ -33,7 +33,6 @@ def interrupted(run: Path, monkeypatch, chunks: int, observations: Observations 
         if len(calls) > chunks:
             raise error
         return work(*arguments)
-
     with monkeypatch.context() as patched:
         patched.setattr(sweeps, "CHUNK_BYTES", 18 * 32 * 33)
         patched.setattr(sweeps, "relax_hypotheses", stopping)
@@ -53,7 +52,6 @@ def grid_of(cells: int) -> Grid:
 
 
 def static(name: str, distance: np.ndarray, end_distance=np.nan, stable=True) -> Landscape:
-    """A landscape under Eq. 2 of distances (G, D)."""
     cells, count = distance.shape
     terms = np.arange(count)
     return Landscape(Path(f"{name}_static"), name, grid_of(cells), "static", distance,

@@ -65,8 +65,7 @@ def assert_as_by_loops(found, parts):
 @pytest.mark.sampled(4)
 @pytest.mark.parametrize("case", range(20))
 def test_loops_choose_the_same_cells_ties_and_gaps_included(rng, case):
-    """Distances in eighths tie often; one in twelve is missing, one term everywhere. Of one part a single term is known, of
-    another none."""
+    """Eighths tie often; one in twelve is missing, one term everywhere. Of one part a single term is known, of another none."""
     rng = np.random.default_rng(rng.integers(2**32) + case)
 
     def distances(count):
@@ -74,7 +73,6 @@ def test_loops_choose_the_same_cells_ties_and_gaps_included(rng, case):
         values[rng.random(values.shape) < 1 / 12] = np.nan
         values[:, rng.integers(count)] = np.nan
         return values
-
     landscapes = [static("a", distances(6)), static("b", distances(5)), dynamic("a", distances(len(PAIRS)), PAIRS),
                   static("one", rng.integers(4, 12, (9, 1)) / 8), static("none", distances(1))]
     found = scores(*landscapes)
@@ -239,8 +237,7 @@ def test_hypotheses_are_not_resolved_by_such_a_cell():
     """In the first cell the second hypothesis is right, in the other one, where rods stalled, the first."""
     hypotheses = Hypotheses(np.array([0, 0, 1]), np.array([0, 1, 0]))
     distance = np.array([[3.0, 1.0, 1.0], [0.1, 3.0, 0.1]])
-    sound = np.array([[True, True, True], [False, False, False]])
-    chosen, ambiguous = resolved(distance, sound, np.ones(2), hypotheses)
+    chosen, ambiguous = resolved(distance, np.array([[True, True, True], [False, False, False]]), np.ones(2), hypotheses)
     assert chosen[0].tolist() == [1, 2] and not ambiguous.any()
 
 
@@ -309,8 +306,7 @@ def test_terms_not_certified_or_left_out_are_listed_below_the_table(scored):
 def test_a_training_set_that_chooses_nothing_shows_a_dash():
     found, = partition([static("a", np.full((3, 4), np.nan)), static("b", np.ones((3, 4)))], ("material",))
     table = text(cross_validate(found), 120)
-    assert re.search(r"^a +\[–\] +– *$", table, re.MULTILINE)
-    assert re.search(r"^a +– +– +– +– +0 of 4 +–$", table, re.MULTILINE)
+    assert re.search(r"^a +\[–\] +– *$", table, re.MULTILINE) and re.search(r"^a +– +– +– +– +0 of 4 +–$", table, re.MULTILINE)
     assert np.isnan(entries(cross_validate(found))[0]["twist_mm3"])
 
 

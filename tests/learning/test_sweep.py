@@ -162,8 +162,7 @@ def test_a_folder_is_enough_to_relax_its_cells_again(tmp_path, options, hint):
     columns, rods = relax_cells(experiment, 2, 5)
     stored, terms = cells(tmp_path / "run"), experiment.terms
     assert_same_rows(columns, {name: column[2 * terms : 5 * terms] for name, column in stored.items()})
-    again = distance(rods, experiment.observations, columns["observation"])
-    np.testing.assert_array_equal(again, columns["distance_mm"])
+    np.testing.assert_array_equal(distance(rods, experiment.observations, columns["observation"]), columns["distance_mm"])
 
 
 def test_a_folder_that_is_none(tmp_path):

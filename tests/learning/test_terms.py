@@ -108,7 +108,6 @@ def test_the_nearest_sound_one_in_each_cell(rng):
 
 
 def test_what_explains_an_observation_stands_for_it_in_all_cells(rng):
-    """The right hypothesis is near in the right cell only; elsewhere another one may be nearer."""
     true, best = np.array([2, 3, 8, 10]), 17
     distance = rng.uniform(2, 9, (40, 12))
     distance[best, :] = 8
@@ -186,8 +185,7 @@ def test_spins_are_spread_over_a_turn():
 
 @pytest.mark.thorough
 def test_an_unknown_spin_is_found(tmp_path):
-    """The rods of the small lab without their end frames: with 24 angles the twist of the labels is found again, and
-    the material with it; an end that may spin does not determine twist."""
+    """Without end frames, of 24 angles the twist of the labels is found again, and the material with it."""
     known = small_lab()
     unknown = replace(known, end_frame=None, total_twist=None)
     grid = Grid((Axis("bend", [2e5, 4e5, 8e5]), Axis("twist_ratio", [0.5, 1.0, 2.0])))
@@ -198,8 +196,7 @@ def test_an_unknown_spin_is_found(tmp_path):
     sure = ~np.isin(kept.observation, summary["hypotheses"]["ambiguous"])
     start, _ = terms.started(unknown, observation_clamps(unknown), kept.take(sure))
     off = joint_twist(start.quaternions).sum(axis=1) - known.total_twist[kept.observation[sure]]
-    assert sure.sum() >= 4 and (np.abs(off) < np.radians(45)).all()
-    assert len(read_landscape(tmp_path / "spins").observation) == 6
+    assert sure.sum() >= 4 and (np.abs(off) < np.radians(45)).all() and len(read_landscape(tmp_path / "spins").observation) == 6
 
 
 def test_spins_that_are_not_unknown_are_refused():

@@ -25,8 +25,7 @@ def hanging(rng, up: np.ndarray, stiffness: float, count: int = 10) -> Observati
     tangents = side + 0.8 * rng.normal(size=(2, count, 3))
     frames = [bishop_frames(t[:, None] / np.linalg.norm(t, axis=-1)[:, None, None], np.cross(t, [0.3, 0.9, 0.2]))[:, 0]
               for t in tangents]
-    clamps = Clamps(Clamp.TANGENT, Clamp.TANGENT, start, end, *frames)
-    sag = np.linspace(0, 1, edges + 1)
+    clamps, sag = Clamps(Clamp.TANGENT, Clamp.TANGENT, start, end, *frames), np.linspace(0, 1, edges + 1)
     seen = Observations(start[:, None] + sag[:, None] * (end - start)[:, None] - 300 * np.sin(np.pi * sag)[:, None] * up,
                         rest_length=np.full(edges, length / edges), up=up)
     bend = 2 * stiffness * length**3
@@ -46,8 +45,7 @@ def test_a_wrong_axis_is_found_out_and_the_right_one_is_named(rng, right, given)
     seen = hanging(rng, AXES[right], 5e-3)
     found = judged(seen, AXES[given])
     assert np.array_equal(found.up, AXES[right]) and found.option == f"--up {right}"
-    assert found.misfit_mm < 0.5 * found.given_misfit_mm and found.option in found.text
-    assert judged(seen, AXES[right]) is None
+    assert found.misfit_mm < 0.5 * found.given_misfit_mm and found.option in found.text and judged(seen, AXES[right]) is None
 
 
 @pytest.mark.sampled(1)

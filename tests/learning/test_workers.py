@@ -79,7 +79,6 @@ def test_a_scheduler_that_is_killed_is_one_line(tmp_path):
     def dask(part: str, *words: str, **streams) -> subprocess.Popen:
         return subprocess.Popen([sys.executable, "-m", f"distributed.cli.dask_{part}", *words, "--no-dashboard"], cwd=tmp_path,
                                 env=environment, **streams)
-
     with dask("scheduler", "--host", "127.0.0.1", "--port", "0", stderr=subprocess.PIPE, text=True) as scheduler:
         address = next(found[1] for line in scheduler.stderr if (found := re.search(r"Scheduler at:\s+(tcp://\S+)", line)))
         worker = dask("worker", address, "--nthreads", "1", "--death-timeout", "15", stderr=subprocess.DEVNULL)
@@ -140,7 +139,6 @@ def test_work_finished_before_a_failure_is_returned_and_the_rest_is_not_begun():
         for k in range(1000):
             asked.append(k)
             yield k, k + 1
-
     found = []
     with pytest.raises(ValueError, match="the fourth fails"), started_workers(2, None) as own:
         for chunk, _ in own.results(_slowly, chunks()):

@@ -56,8 +56,7 @@ def sweep(rng: np.random.Generator) -> dict:
 
 
 def read(path) -> tuple[dict, dict]:
-    """{entity: {column: rows}} of the static data, and {entity: {timeline: {column: rows}}} of the rest, as lists
-    in the order of the timeline."""
+    """{entity: {column: rows}} of static data, {entity: {timeline: {column: rows}}} of the rest, in the timeline's order."""
     from rerun.chunk import RrdReader
 
     static, moving = defaultdict(dict), defaultdict(lambda: defaultdict(lambda: defaultdict(list)))

@@ -105,8 +105,7 @@ def test_picture_shows_each_kind_in_its_colour(tmp_path):
     ribbons_picture(tmp_path / "ribbons.png", kinds(2), 1, basis=np.eye(3), title="made up")
     picture = np.asarray(Image.open(tmp_path / "ribbons.png").convert("RGB")).astype(int)
     red = (picture[..., 0] > 1.8 * picture[..., 1]) & (picture[..., 0] > 90)
-    blue = (picture[..., 2] > 1.8 * picture[..., 0]) & (picture[..., 2] > 90)
-    half = picture.shape[1] // 2
+    blue, half = (picture[..., 2] > 1.8 * picture[..., 0]) & (picture[..., 2] > 90), picture.shape[1] // 2
     for color, inside, outside in ((red, slice(None, half), slice(half, None)), (blue, slice(half, None), slice(None, half))):
         assert color[:, inside].sum() > 5000 > 50 > color[:, outside].sum()
 
@@ -134,8 +133,7 @@ def test_recording_holds_a_band_per_kind_and_step(tmp_path):
     area = 0.5 * np.linalg.norm(np.cross(corners[:, :, 1] - corners[:, :, 0], corners[:, :, 2] - corners[:, :, 0]), axis=-1)
     length = np.linalg.norm(np.diff(shown[2].sides.mean(axis=1), axis=1), axis=-1).sum(axis=1)
     np.testing.assert_allclose(area.sum(axis=1), 6.7 * length, rtol=0.1)
-    normals = np.array(band["observation"]["Mesh3D:vertex_normals"])
-    np.testing.assert_allclose(np.linalg.norm(normals, axis=-1), 1, atol=1e-5)
+    np.testing.assert_allclose(np.linalg.norm(np.array(band["observation"]["Mesh3D:vertex_normals"]), axis=-1), 1, atol=1e-5)
     red = moving["/world/ribbons/1"]["observation"]["Mesh3D:vertex_positions"]
     assert np.isfinite(red).all() and (np.array(red)[2] == 0).all()
     assert [len(strip) for strip in moving["/world/ribbons/1/borders"]["observation"]["LineStrips3D:strips"][2]] == [0, 0]

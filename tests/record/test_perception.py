@@ -75,7 +75,6 @@ def test_picture_has_a_row_for_each_set(tmp_path, seen):
 
     def colored(picture, color):
         return (np.abs(picture - color).max(axis=-1) < 40).sum()
-
     for color in ((255, 46, 77), (255, 212, 0)):
         assert colored(both, color) > 500 > 20 > colored(one, color)
     assert colored(one, (47, 123, 255)) > 200

@@ -87,8 +87,7 @@ def test_a_rod_that_is_nan_is_not_drawn_and_keeps_its_place(tmp_path, rng):
     rods.status[[2, 3]] = Status.NOT_FINITE, Status.INFEASIBLE
     run["observed"].vertices[1, 4] = np.nan
     static, moving = written(tmp_path, run)
-    strips = moving["/world/rods"]["iteration"]["LineStrips3D:strips"]
-    counts = np.array([[len(strip) for strip in row] for row in strips])
+    counts = np.array([[len(strip) for strip in row] for row in moving["/world/rods"]["iteration"]["LineStrips3D:strips"]])
     expected = np.full(counts.shape, runs.VERTICES)
     expected[4:, 2], expected[:, 3] = 0, 0
     np.testing.assert_array_equal(counts, expected)
@@ -135,8 +134,7 @@ def test_landscape_picture_surface_and_cells(swept):
     assert points.shape == (evaluated, 3) and np.isfinite(points).all()
     triangles = np.array(surface["Mesh3D:triangle_indices"][0])
     assert triangles.shape == (2 * quads, 3) and triangles.max() == evaluated - 1
-    cells = moving["/landscape/cells"]["trial"]
-    missing = int(np.flatnonzero(np.isnan(landscape.reshape(-1)))[0])
+    cells, missing = moving["/landscape/cells"]["trial"], int(np.flatnonzero(np.isnan(landscape.reshape(-1)))[0])
     assert cells["trial"] == [trial for trial in range(runs.BENDS * runs.RATIOS) if trial != missing]
     places, values = np.array(cells["Points3D:positions"])[:, 0], landscape.reshape(-1)[cells["trial"]]
     np.testing.assert_allclose(places[:, 2], 0.6 * values / np.nanmax(landscape), rtol=1e-6)
@@ -153,8 +151,7 @@ def test_relaxation_has_no_landscape(tmp_path, rng):
 
 
 def test_one_free_axis_gives_cells_on_a_line_and_no_surface(tmp_path, rng):
-    run = runs.sweep(rng)
-    cells = runs.Grid((runs.Axis("bend", np.geomspace(1e5, 1e7, runs.BENDS)),))
+    run, cells = runs.sweep(rng), runs.Grid((runs.Axis("bend", np.geomspace(1e5, 1e7, runs.BENDS)),))
     run |= {"plane": LandscapePlane.of(cells.picture_axes, run["plane"].grid[:, 1:2], (2, 0, 0)), "intervals": ()}
     static, moving = written(tmp_path, run)
     assert "/landscape/surface" not in static and len(moving["/landscape/cells"]["trial"]["trial"]) == runs.BENDS
@@ -181,7 +178,6 @@ def test_viewer_listens_on_this_machine_only_and_reports_nothing(tmp_path, monke
     def started(command, *, env, stderr):
         calls.append((command, env))
         return SimpleNamespace(wait=lambda timeout=None: 0, poll=lambda: 0, terminate=lambda: None)
-
     monkeypatch.setattr(viewer.subprocess, "Popen", started)
     (tmp_path / "run.rrd").touch()
     viewer.open_viewer(tmp_path)

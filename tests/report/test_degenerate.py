@@ -121,5 +121,4 @@ def test_rods_in_images_without_a_detection_are_drawn(tmp_path, name):
 def test_landscapes_whose_smallest_error_is_zero_share_a_scale(values):
     axes = [("bend", np.geomspace(1e5, 1e7, 3), True, "mm³"), ("twist_ratio", np.geomspace(0.5, 2, 2), True, "")]
     plane = LandscapePlane.of(axes, values, None if np.isnan(values).all() else (0, 0))
-    panels = [LandscapePanel("a", plane), LandscapePanel("b", plane)]
-    landscapes_picture(io.BytesIO(), [panels], title="", relative=True)
+    landscapes_picture(io.BytesIO(), [[LandscapePanel("a", plane), LandscapePanel("b", plane)]], title="", relative=True)

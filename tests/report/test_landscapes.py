@@ -75,7 +75,6 @@ def test_regimes_and_region_are_drawn():
 
     def image(axes, region=None):
         return landscapes.landscape_image(LandscapePlane.of(axes, values, (0, 0, 0, 0)), title="made up", region=region)
-
     plain, angle = image(axes), np.linspace(0, 2 * np.pi, 60, endpoint=False)
     ellipse = np.stack([1e6 * np.exp(np.cos(angle)), 1e6 * np.exp(0.5 * np.sin(angle))], axis=-1)
     region = image(axes, ellipse)

@@ -74,7 +74,6 @@ def test_cells_not_evaluated_are_grey_and_unfinished_ones_hatched():
 
     def grey(image):
         return (image == GREY).all(axis=-1).sum()
-
     plain = image(values)
     assert grey(plain) > 20_000 > 100 > grey(image(np.nan_to_num(values, nan=5.0)))
     counts = np.zeros(values.shape, int)
@@ -104,8 +103,7 @@ def test_more_than_two_free_axes_show_the_minimum_over_the_others(rng):
     counts = {"bend": 1, "a": 4, "b": 3, "c": 5, "d": 2}
     axes = [(name, np.arange(1.0, count + 1), False, "") for name, count in counts.items()]
     values = rng.uniform(1, 2, (1, 4, 3, 5, 2))
-    minimum = np.unravel_index(np.argmin(values), values.shape)
-    unfinished = rng.integers(0, 9, values.shape)
+    minimum, unfinished = np.unravel_index(np.argmin(values), values.shape), rng.integers(0, 9, values.shape)
     plane = LandscapePlane.of(axes, values, minimum, unfinished)
     np.testing.assert_array_equal(plane.values, values[0].min(axis=(2, 3)))
     assert plane.minimum == minimum[1:3] and plane.hidden == ("c", "d")
@@ -138,8 +136,7 @@ def test_surface_leaves_out_what_was_not_evaluated():
     assert points.shape == (runs.BENDS, runs.RATIOS, 3)
     np.testing.assert_allclose(points[:, 0, 0], np.linspace(0, 1, runs.BENDS))
     corners = points[np.isfinite(points[..., 2])][triangles]
-    area = 0.5 * np.linalg.det(corners[:, 1:, :2] - corners[:, :1, :2])
-    cells = (runs.BENDS - 1) * (runs.RATIOS - 1)
+    area, cells = 0.5 * np.linalg.det(corners[:, 1:, :2] - corners[:, :1, :2]), (runs.BENDS - 1) * (runs.RATIOS - 1)
     np.testing.assert_allclose(area.sum(), 1 - 1 / cells)
     assert (area > 0).all()
 
@@ -230,8 +227,7 @@ def test_flat_rods_are_shown_from_above(tmp_path, monkeypatch, height, view, up)
     shown = []
     monkeypatch.setattr("doo_ti.report.motions.literal", lambda text: shown.append(text) or text)
     s, shifts = np.linspace(0, np.pi, 12), np.linspace(0, 20, 5)[None, :, None]
-    across = 60 * np.sin(s) + shifts
-    curve = np.stack([100 * np.cos(s) + 0 * shifts, across, height * np.sin(3 * s) + 0 * shifts], axis=-1)
+    curve = np.stack([100 * np.cos(s) + 0 * shifts, 60 * np.sin(s) + shifts, height * np.sin(3 * s) + 0 * shifts], axis=-1)
     rods = curve if up[2] else curve[..., [0, 2, 1]]
     save_rollout(tmp_path / "f.png", "rods", ["a"], rods, None, 10.0, np.array(up))
     assert any(f"seen {view}" in text for text in shown)

@@ -119,7 +119,6 @@ def test_a_kernel_that_is_compiled_briefly_changes_no_setting():
         seen.append((number, settings.advanced_optimization))
         if number == 2:
             raise ValueError
-
     before = settings.advanced_optimization
     kernel(1)
     with pytest.raises(ValueError):
@@ -156,7 +155,6 @@ def test_no_kernel_is_launched_beside_another():
     @runtime.kernel
     def nothing():
         pass
-
     with pytest.raises(RuntimeError, match="nothing"):
         nothing()
     runtime.exclusive(lambda: launched.append(nothing()))()
@@ -168,7 +166,6 @@ def test_no_kernel_is_launched_beside_another():
 def test_lines_of_kernels_functions_are_those_of_inspect():
     def otherwise(function):
         raise AssertionError(f"{function} is not found by its line")
-
     lines, found = _lines_of(otherwise), 0
     for kind in (chain.Chain, contacts.RodContacts, newton_trip.NewtonTrip):
         for function in vars(kind).values():

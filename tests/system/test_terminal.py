@@ -11,7 +11,7 @@ from doo_ti.commands.cli import main
 from doo_ti.system import runtime
 from doo_ti.system import terminal as terminal_module
 from doo_ti.system.terminal import busy, in_line, progress, visible
-from tests.commands.calls import MATERIAL, npz_bytes
+from tests.commands.calls import MATERIAL, write_good
 
 NAME = "a\x1b[2J\x9b1m\u202e[red]b[/red]"
 SHOWN = r"a\x1b[2J\x9b1m\u202e[red]b[/red]"
@@ -78,7 +78,6 @@ def test_a_kernel_s_first_launch_says_that_it_is_compiled(monkeypatch, shown):
     def twice(values: ti.types.ndarray(dtype=ti.f32, ndim=1)):
         for k in values:
             values[k] *= 2.0
-
     values, terminal = np.ones(3, dtype=np.float32), wide_terminal(monkeypatch)
     with progress() if shown == "bar" else busy("growth") as bar:
         if shown == "bar":
@@ -94,7 +93,7 @@ def test_a_kernel_s_first_launch_says_that_it_is_compiled(monkeypatch, shown):
 def test_printouts_and_messages(tmp_path, capsys, code):
     folder = tmp_path / "\x1b[2J[bold]"
     folder.mkdir()
-    npz_bytes(folder)
+    write_good(folder)
     argv = ["relax", str(folder / ("good.npz" if code == 0 else "absent.npz")), *MATERIAL, "--out", str(folder / "out.npz")]
     assert main(argv) == code
     out, err = capsys.readouterr()
@@ -105,7 +104,7 @@ def test_printouts_and_messages(tmp_path, capsys, code):
 def test_a_name_of_several_lines_takes_one(tmp_path, capsys):
     assert in_line("a\nb\x1b") == r"a\nb\x1b"
     (tmp_path / "a\nb").mkdir()
-    npz_bytes(tmp_path / "a\nb")
+    write_good(tmp_path / "a\nb")
     source, out = tmp_path / "a\nb" / "c\nd.npz", tmp_path / "a\nb" / "f\ng"
     (tmp_path / "a\nb" / "good.npz").rename(source)
     for argv in (["relax", str(source), *MATERIAL, "--out", f"{out}.npz"], ["convert", str(source), f"{out}.csv"],

@@ -1,7 +1,10 @@
-"""Studies of the lab: twist by Eq. 4 and predicted rotation steps, at small sizes; pickles of the public cable data."""
+"""Studies at small sizes, pickles of public data; and every command and file that documents name exists."""
 
 import os
 import pickle
+import re
+import shlex
+import subprocess
 import sys
 from importlib import import_module
 
@@ -9,11 +12,16 @@ import numpy as np
 import pytest
 
 from doo_ti import InputError, Material, load_observations
+from doo_ti.commands.help_text import EXAMPLES
 from tests.perception.test_twist import MATERIAL, TWIST
+from tests.processes import ROOT
 from tests.references.rods import at_rest, bows, observed
 from tests.relaxation.rods import lab
+from tools.studies import reproduce
 from tools.studies.cables import read_recordings
 from tools.studies.prediction_study import predict_steps
+from tools.studies.replication.criteria import CRITERIA
+from tools.studies.replication.landscapes import figure_1
 from tools.studies.replication.twist import SUCCESS, twist_trials
 
 
@@ -33,8 +41,7 @@ def test_fig_7_on_the_lab(laboratory):
     with np.load(laboratory / "lab_a" / "vicryl_truth.npz") as file:
         truth = np.radians(file["total_twist_deg"])
     for together, least in ((1, 0.9), (6, 0.99)):
-        trials = twist_trials(observations, truth, Material(6e5, 8e5), together, 40, seed=1)
-        assert np.mean(trials.error <= SUCCESS) >= least
+        assert np.mean(twist_trials(observations, truth, Material(6e5, 8e5), together, 40, seed=1).error <= SUCCESS) >= least
 
 
 @pytest.mark.sampled(1)
@@ -45,8 +52,7 @@ def test_rotation_steps_of_the_lab_are_predicted(laboratory, name):
     steps = predict_steps(rods.observations, rods.material)
     assert len(steps.error) == 54
     if name == "ribbon":
-        assert np.median(steps.error) <= 0.8
-        assert (np.abs(steps.error - steps.own_error)[steps.same_branch] < 0.5).all()
+        assert np.median(steps.error) <= 0.8 and (np.abs(steps.error - steps.own_error)[steps.same_branch] < 0.5).all()
     else:
         assert steps.error.mean() <= 1.0 and steps.same_branch.all()
 
@@ -90,3 +96,66 @@ def test_cables_for_pictures_hang(rng):
     from tools.studies.picture_study import LENGTH, pose
 
     assert np.linalg.norm(np.diff(pose(rng, -30.0, 0.7), axis=0), axis=-1).sum() == pytest.approx(LENGTH, rel=1e-6)
+
+
+DOCUMENTS = [*sorted((ROOT / "docs").rglob("*.md")),
+             *(ROOT / name for name in ("doo_ti/PAPER.md", "tools/README.md", "README.md", "CONTRIBUTING.md"))]
+MEASURED = [command for page in DOCUMENTS for last in re.findall(r"\*\*Measured with\*\* .*", page.read_text(encoding="utf-8"),
+            re.DOTALL) for command in re.findall(r"`([^`]+)`", last)]
+
+
+def test_every_tool_that_documents_name_exists():
+    for document in DOCUMENTS:
+        for name in re.findall(r"(?<!/)\btools/[\w/]+\.py\b", document.read_text(encoding="utf-8")):
+            assert (ROOT / name).is_file(), f"{document.name} names {name}"
+
+
+def test_every_module_that_documents_name_exists_and_has_what_is_named_beside_it():
+    modules = {path.relative_to(ROOT).as_posix(): path.read_text(encoding="utf-8")
+               for room in ("doo_ti", "tests", "tools") for path in (ROOT / room).rglob("*.py")}
+    for document in DOCUMENTS:
+        for name, beside in re.findall(r"`([\w/]+\.py)`(?: `(\w+)`)?", document.read_text(encoding="utf-8")):
+            found = [text for path, text in modules.items() if path.endswith(f"/{name}") or path == name]
+            assert found or "NN" in name, f"{document.name} names {name}"
+            there = any(re.search(rf"\b{beside}\b", text) for text in found)
+            assert there or not beside, f"{document.name}: {beside} in {name}"
+
+
+def test_every_page_with_a_picture_has_a_command():
+    for page in (ROOT / "docs").rglob("*.md"):
+        text = page.read_text(encoding="utf-8")
+        drawn = page.parent.name != "examples" and "![" in text
+        assert not drawn or re.search(r"\bdoo-ti [a-z]|\bpython tools/", text), f"{page.name} has pictures without a command"
+
+
+def test_every_command_that_measured_a_page_exists():
+    assert len(MEASURED) > 25
+    for words in map(shlex.split, MEASURED):
+        if words[0] == "doo-ti":
+            assert words[1] in EXAMPLES, words
+        else:
+            named = words[3:4] if words[1] == "-m" else words[1:2]
+            assert words[0] == "python" and all((ROOT / name).exists() for name in named), words
+        assert all((ROOT / word).is_file() for word in words if word.startswith("scenes/")), words
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize("command", sorted({words for words in MEASURED if " --" in words and " -m " not in words}))
+def test_every_command_takes_its_options(command):
+    words = shlex.split(command)
+    program = [sys.executable, *(["-m", "doo_ti", words[1]] if words[0] == "doo-ti" else words[1:2])]
+    asked = "--help-all" if words[0] == "doo-ti" else "--help"
+    told = subprocess.run([*program, asked], cwd=ROOT, capture_output=True, text=True, check=True).stdout
+    for option in (word for word in words if word.startswith("--")):
+        assert option in told, f"{command}: {option}"
+
+
+@pytest.mark.thorough
+def test_items_are_measured_and_reported(tmp_path, capsys):
+    names, report = ["Table I", "Table II", "Fig. 1", "Fig. 3", "Fig. 4"], tmp_path / "REPLICATION.md"
+    reproduce.main([*names, "--size", "tiny", "--report", str(report)])
+    text = report.read_text(encoding="utf-8")
+    for name in names:
+        assert f"\n## {name}\n" in text
+        assert text.count(f"\n| {name} | ") >= len(CRITERIA[name])
+    assert "did not run" not in text and "1.40 / 0." in text and figure_1()[0] == {"apart": [True]}
