@@ -38,14 +38,10 @@ def test_links_lead_somewhere(page):
 
 def commands() -> list[tuple[str, list[str]]]:
     """(page, words) of every line of a page that begins with ``doo-ti``, without comments."""
-    found = []
-    for page in PAGES:
-        lines = page.read_text(encoding="utf-8").replace("\\\n", " ").splitlines()
-        for line in lines:
-            text = line.strip().removeprefix("$ ")
-            if text.startswith("doo-ti ") and "…" not in text:
-                found.append((page.name, shlex.split(text, comments=True)[1:]))
-    return found
+    lines = ((page.name, line.strip().removeprefix("$ ")) for page in PAGES
+             for line in page.read_text(encoding="utf-8").replace("\\\n", " ").splitlines())
+    return [(page, shlex.split(text, comments=True)[1:]) for page, text in lines
+            if text.startswith("doo-ti ") and "…" not in text]
 
 
 @cache
@@ -69,21 +65,14 @@ def test_the_reference_has_every_public_name():
     assert sorted(listed) == sorted(doo_ti.__all__)
 
 
-@pytest.fixture
-def clone(tmp_path):
-    """An empty folder with what a fresh clone has, as far as README's commands use it."""
-    for name in ("scenes", "docs"):
-        (tmp_path / name).symlink_to(ROOT / name)
-    return tmp_path
-
-
 @pytest.mark.thorough
 @pytest.mark.filterwarnings("ignore")
-def test_readme_runs_as_written(clone, capfd):
-    """Its commands in order, without the installation, then its Python."""
-    blocks = BLOCK.findall((ROOT / "README.md").read_text(encoding="utf-8"))
-    ran = 0
-    with chdir(clone):
+def test_readme_runs_as_written(tmp_path, capfd):
+    """Its commands in order, without the installation, then its Python, in a folder with what they use of a fresh clone."""
+    blocks, ran = BLOCK.findall((ROOT / "README.md").read_text(encoding="utf-8")), 0
+    for name in ("scenes", "docs"):
+        (tmp_path / name).symlink_to(ROOT / name)
+    with chdir(tmp_path):
         for language, text in blocks:
             if language == "python":
                 exec(compile(text, "README.md", "exec"), {})
@@ -103,9 +92,8 @@ def test_the_notebook_runs(tmp_path, monkeypatch):
     cells = json.loads((ROOT / "docs" / "examples" / "landscape_and_rods.ipynb").read_text(encoding="utf-8"))["cells"]
     names = {}
     with chdir(tmp_path):
-        for cell in cells:
-            if cell["cell_type"] == "code":
-                exec("".join(cell["source"]), names)
+        for cell in (cell for cell in cells if cell["cell_type"] == "code"):
+            exec("".join(cell["source"]), names)
     assert 0.3 < names["bend"][names["best"][0]] / 6e5 < 3
 
 
@@ -119,7 +107,7 @@ def test_the_site_builds_without_warnings(tmp_path):
     assert "load_observations" in (tmp_path / "site" / "reference" / "index.html").read_text(encoding="utf-8")
 
 
-PAGE = (Path(__file__).parents[2] / "docs" / "reading_runs.md").read_text(encoding="utf-8")
+PAGE = (ROOT / "docs" / "reading_runs.md").read_text(encoding="utf-8")
 EXAMPLES = dict(re.findall(r"^## ([^\n]+)\n(?:(?!^## ).)*?```python\n(.*?)```", PAGE, re.DOTALL | re.MULTILINE))
 
 
@@ -131,28 +119,22 @@ def folder(tmp_path_factory):
     return folder
 
 
-def printed(folder, word: str, monkeypatch, capsys) -> str:
+def printed(folder, word: str) -> str:
     """What the example prints whose heading has that word."""
     example, = (text for heading, text in EXAMPLES.items() if word in heading)
-    monkeypatch.chdir(folder)
-    capsys.readouterr()
-    exec(example, {})
-    return capsys.readouterr().out
+    shown = StringIO()
+    with chdir(folder), redirect_stdout(shown):
+        exec(example, {})
+    return shown.getvalue()
 
 
 @pytest.mark.thorough
-def test_the_example_finds_the_best_cell(folder, monkeypatch, capsys):
-    found = [float(number) for number in printed(folder, "pyarrow", monkeypatch, capsys).split()]
-    best = json.loads((folder / "runs" / "silk" / "summary.json").read_text())["best"]
+def test_the_examples_find_the_best_cell_and_who_made_each_file(folder):
+    summary = json.loads((folder / "runs" / "silk" / "summary.json").read_text())
+    found, best = [float(number) for number in printed(folder, "pyarrow").split()], summary["best"]
     assert found[:4] == [best[key] for key in ("bend_1", "bend_2", "twist", "weight")]
     assert np.isclose(found[4], best["mean_distance_mm"], rtol=1e-12)
-
-
-@pytest.mark.thorough
-def test_the_maker_of_each_file_is_printed(folder, monkeypatch, capsys):
-    out = printed(folder, "who made it", monkeypatch, capsys)
-    summary = json.loads((folder / "runs" / "silk" / "summary.json").read_text())
-    assert f"72 {summary['provenance']['sweep_sha256'][:8]} {maker()['doo_ti']}" in out
+    assert f"72 {summary['provenance']['sweep_sha256'][:8]} {maker()['doo_ti']}" in printed(folder, "who made it")
 
 
 @pytest.mark.thorough

@@ -97,7 +97,7 @@ def test_runners_up_differ_and_the_gap_is_a_distance(loop):
     np.testing.assert_allclose(found.camera_error[0] * pixels, np.maximum(again.camera_error[0], 0), rtol=1e-4)
 
 
-def test_the_verdict_is_a_scale(found):
+def test_the_verdict_is_a_scale_and_one_camera_makes_a_rod_ambiguous(found):
     several = found[0]
     gaps = replace(several, gap=np.array([np.inf, 0.05, 0.001]))
     assert repr(gaps).startswith("Perception(vertices (3, 15, 3)") and "CLEAR" in repr(PerceptionVerdict.CLEAR)
@@ -106,13 +106,10 @@ def test_the_verdict_is_a_scale(found):
     blurred = several.camera_error.copy()
     blurred[:, 1] = 1.5
     assert replace(several, gap=np.full(SETS, 9.0), camera_error=blurred).verdict.tolist() == [PerceptionVerdict.LIKELY] * SETS
-
-
-def test_one_camera_makes_a_rod_ambiguous(found):
-    """However well it fits there: length and stiffness alone say how far away the rod is."""
-    alone = replace(found[0], **{name: getattr(found[0], name)[:, :1] for name in (
+    # However well it fits in one camera: length and stiffness alone say how far away the rod is.
+    alone = replace(several, **{name: getattr(several, name)[:, :1] for name in (
         "camera_error", "hidden", "edge_error", "coverage", "outside", "skipped", "twice", "wider")})
-    assert (found[0].verdict == PerceptionVerdict.CLEAR).any()
+    assert (several.verdict == PerceptionVerdict.CLEAR).any()
     assert (alone.verdict == PerceptionVerdict.AMBIGUOUS).all() and alone.doubts["one camera"].all()
 
 
