@@ -139,9 +139,8 @@ def test_the_examples_find_the_best_cell_and_who_made_each_file(folder):
 
 @pytest.mark.thorough
 def test_every_column_and_status_is_explained(folder):
-    names = set()
     for run in ("silk", "moved"):
-        names |= set(pyarrow.parquet.read_schema(min((folder / "runs" / run / "cells").glob("*.parquet"))).names)
-    assert not {name for name in names if f"`{name}`" not in PAGE}
+        for name in pyarrow.parquet.read_schema(min((folder / "runs" / run / "cells").glob("*.parquet"))).names:
+            assert f"`{name}`" in PAGE
     for kind in Status:
         assert f"{int(kind)} {kind.name.lower().replace('_', ' ')}" in PAGE

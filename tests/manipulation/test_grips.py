@@ -93,8 +93,7 @@ def test_grippers_take_hold_and_let_go(rope):
     up = replace(grip, position=grip.position + [0, 0, 20.0])
     lifted = certified(simulation.step(clamps, [up]))
     np.testing.assert_allclose(lifted.configuration.vertices[:, 15], up.position, atol=1e-6)
-    other = Grip.where(lifted.configuration, 8)
-    certified(simulation.step(clamps, [other, up]))
+    certified(simulation.step(clamps, [Grip.where(lifted.configuration, 8), up]))
     assert simulation.held.grip_loads().force.shape == (3, 2, 3)
     back = certified(simulation.step(clamps))
     np.testing.assert_allclose(back.configuration.vertices, at_rest.configuration.vertices, atol=1e-4)
@@ -147,8 +146,7 @@ def test_a_rod_takes_its_own_sub_steps_whatever_the_others_need():
 def test_a_failure_on_the_way_stays_in_the_status():
     rods, clamps = hanging(300.0, 20, np.zeros((1, 3)), [[150.0, 0, 0]])
     simulation = Simulation(rods, Material(1e5, 1e5), clamps)
-    apart = moved(clamps, np.array([[0.0] * 6 + [400.0] + [0.0] * 5]))
-    assert simulation.step(apart).status[0] == Status.INFEASIBLE
+    assert simulation.step(moved(clamps, np.array([[0.0] * 6 + [400.0] + [0.0] * 5]))).status[0] == Status.INFEASIBLE
     assert simulation.step(clamps).status[0] == Status.INFEASIBLE  # still apart on most of the way back
     assert simulation.step(clamps).converged.all()
     assert simulation.reset().converged.all()

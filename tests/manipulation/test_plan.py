@@ -32,10 +32,8 @@ def test_shapes_are_those_of_their_rods_and_a_way_leads_from_one_to_the_other_at
 
 def test_a_thin_obstacle_between_two_shapes_is_found():
     rods = Shapes(np.zeros((2, 3)), np.tile([1.0, 0, 0, 0], (2, 1)), np.zeros((2, 19, 3)), LENGTHS, 10).rods.vertices
-    needle = Surroundings([d.Capsule((3.0, 11.3, -50), (3.0, 11.3, 50), 0.2)], 0.3)
-    clearance = Clearance(needle, 100.0, 20)
-    for shift, clear in ((9.0, True), (40.0, False)):
-        after = rods + [0, shift, 0]
+    clearance = Clearance(Surroundings([d.Capsule((3.0, 11.3, -50), (3.0, 11.3, 50), 0.2)], 0.3), 100.0, 20)
+    for after, clear in ((rods + [0, 9.0, 0], True), (rods + [0, 40.0, 0], False)):
         assert (clearance.between(rods, after, clearance.of(rods), clearance.of(after)) == clear).all()
 
 
@@ -70,9 +68,8 @@ def plan(own: Tasks, goal: np.ndarray, **options) -> d.ManipulationPath:
 @pytest.mark.parametrize("asked", [[16], [10, 22]])
 def test_a_few_vertices_are_lifted(asked):
     """By 260 mm. Pulling the grippers apart lifts them with shorter moves, until the rod is taut; then both have to rise."""
-    hung, clamps = d.hanging(330.0, 33, (0, 0, 0), (200, 0, 0), clamp=d.Clamp.FRAME)
-    material = d.Material(6e5, 6e5)
-    hung = d.relax(hung, material, clamps).configuration
+    rod, clamps = d.hanging(330.0, 33, (0, 0, 0), (200, 0, 0), clamp=d.Clamp.FRAME)
+    hung, material = d.relax(rod, d.Material(6e5, 6e5), clamps).configuration, d.Material(6e5, 6e5)
     goal = np.full((1, 34, 3), np.nan)
     goal[0, asked] = hung.vertices[0, asked] + [0, 0, 260]
     path = d.plan_manipulation(hung, material, clamps, d.Targets(goal))
@@ -102,8 +99,7 @@ def test_no_rod_is_pulled_taut_to_a_straight_target():
     own = some().take(np.array([0]))
     place = np.linspace(0.0, LENGTH, own.real.edges + 1)
     path = plan(own, np.stack([place, 0 * place, 0 * place], axis=-1)[None], options=d.PlanOptions(seconds=4.0))
-    apart = np.linalg.norm(path.end_position[-1] - path.start_position[-1])
-    assert not path.reached and apart < 0.998 * LENGTH
+    assert not path.reached and np.linalg.norm(path.end_position[-1] - path.start_position[-1]) < 0.998 * LENGTH
 
 
 @pytest.mark.thorough
@@ -126,8 +122,7 @@ def test_a_rod_that_rests_on_an_obstacle_is_lifted_off_it():
     """The start is in contact, the goal behind the pole."""
     own = some().take(np.array([1]))
     middle = own.real.vertices[0, 16] - [0.0, 0, 5.0]
-    pole = d.Capsule(middle - [0.0, 200.0, 0], middle + [0.0, 200.0, 0], 6.0)
-    around = {"obstacles": [pole], "radius": 1.5}
+    around = {"obstacles": [d.Capsule(middle - [0.0, 200.0, 0], middle + [0.0, 200.0, 0], 6.0)], "radius": 1.5}
     start = d.relax(own.real, own.true, own.clamps, **around)
     far = d.relax(own.real, own.true, moved(own.clamps, np.array([[60.0, 0, 60, 0, 0, 0] * 2])))
     assert np.abs(start.contact_force).max() > 1.0

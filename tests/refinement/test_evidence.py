@@ -17,15 +17,12 @@ from tests.refinement.rods_between_clips import TRUTH, assert_gradient, held, mo
 @pytest.fixture(scope="module")
 def linear_model():
     """(evidence, residuals, sizes) of five rods with frames."""
-    seen = suture(2, frames=True).take([0, 1, 2, 4, 5])
-    comparison, scales = model(held(seen, 34), with_frames=True)
+    comparison, scales = model(held(suture(2, frames=True).take([0, 1, 2, 4, 5]), 34), with_frames=True)
     values = comparison.unknowns.begun(TRUTH, np.array([2.0, 2.5]))
-    fit = Fit(comparison, values, Newton())
-    state = fit.begin(values, scales)
+    state = Fit(comparison, values, Newton()).begin(values, scales)
     linear, used = comparison.linear(state.solution, values, state.used)
     assert used.all()
-    offset = 0.1 + comparison.unknowns.offset(values, values)
-    return Evidence.of(comparison.unknowns, linear, offset), linear, scales
+    return Evidence.of(comparison.unknowns, linear, 0.1 + comparison.unknowns.offset(values, values)), linear, scales
 
 
 def dense(evidence: Evidence, linear, scales):

@@ -45,8 +45,7 @@ def test_strength_is_how_far_marks_move(configurations):
     above, below = (relax(start, Material(BEND * factor, TWIST), clamps, Newton(tolerance=1e-9)).configuration.vertices
                     for factor in (1 + 1e-4, 1 - 1e-4))
     shift = (above - below) / 2e-4
-    wanted = np.sqrt(np.sum(shift**2, axis=(1, 2)) / shift.shape[1])
-    np.testing.assert_allclose(found.strength[:, 0], wanted, rtol=1e-3)
+    np.testing.assert_allclose(found.strength[:, 0], np.sqrt(np.sum(shift**2, axis=(1, 2)) / shift.shape[1]), rtol=1e-3)
     np.testing.assert_allclose(found.total, found.strength[:, 0])
     assert found.parameters == ("bend", "twist", "weight") and found.asked == (0,)
 
@@ -74,8 +73,7 @@ def test_the_order_is_greedy_and_the_region_shrinks(configurations):
 @pytest.mark.thorough
 def test_the_least_informative_of_the_lab_are_those_that_move_least(shipped_data):
     """``Plan.total`` by relaxations under a bend and a twist that are a little larger and smaller."""
-    observations = load_observations(shipped_data / "lab_a" / "nylon.npz")
-    searched = grid(13, 9)
+    observations, searched = load_observations(shipped_data / "lab_a" / "nylon.npz"), grid(13, 9)
     clamps, cells, step = observation_clamps(observations), searched.cell_values(), 1e-3
     start, (cell, row) = start_configuration(observations, clamps), np.divmod(np.arange(searched.size * 60), 60)
     squares = 0.0

@@ -23,8 +23,7 @@ def test_edges_share_what_lies_between_the_clips(kinds, count):
     rod = held(suture(1), 40, kinds)
     clip, spacing = np.array([1.7, 3.1]), rod.observations.rest_length
     mesh = rod.mesh(Lengths(clip, spacing))
-    free = 99.0 - clip[rod.clamped].sum()
-    assert mesh.edge == pytest.approx(free / count)
+    assert mesh.edge == pytest.approx((99.0 - clip[rod.clamped].sum()) / count)
     middles = np.array([mesh.place[:2].mean(), mesh.place[-2:].mean()])  # of the outer edges, where the clips let go
     np.testing.assert_allclose(middles[rod.clamped], np.array([1.7, 99.0 - 3.1])[rod.clamped])
     for end, step in enumerate(1e-6 * np.eye(2)):
@@ -72,8 +71,7 @@ def test_the_corrected_mesh_is_close_to_a_very_fine_one():
     rod, solver, none, lengths = unknowns.rod, Newton(), np.zeros((seen.count, POSE)), unknowns.lengths(values)
     coarse = rod.relaxed(unknowns.material(values), lengths, none, solver, TRUTH.up)
     finest = replace(unknowns, rod=replace(rod, edges=640))
-    exact = finest.rod.marks(relaxed_on(finest, values, coarse, rod, solver), lengths)
-    off = rod.marks(coarse, lengths) - exact
+    off = rod.marks(coarse, lengths) - finest.rod.marks(relaxed_on(finest, values, coarse, rod, solver), lengths)
     before, after = (np.abs(one).max() for one in (off, off + mesh_correction(unknowns, values, coarse, solver)))
     assert 0.01 < before < 0.5 and after < 0.15 * before
 

@@ -36,8 +36,7 @@ def test_a_converged_fit_is_at_rest_in_every_observation():
     for found in optima(seen, observation_clamps(seen), (TRUTH,), options):
         one = finished(found, options)
         assert found.fitted.converged and one.fitted.converged
-        further = one.fit.run(one.fitted.state, 12)
-        assert further.posterior.value == pytest.approx(one.fitted.posterior.value, abs=0.5)
+        assert one.fit.run(one.fitted.state, 12).posterior.value == pytest.approx(one.fitted.posterior.value, abs=0.5)
 
 
 @pytest.mark.thorough
@@ -60,8 +59,7 @@ def test_fits_begin_with_the_least_twist_too():
 
 def test_the_first_mesh_resolves_bends_beside_clamps():
     cable = Observations(np.linspace(0, [1000.0, 0, 0], 9)[None], rest_length=np.full(8, 125.0))
-    edges = [first_edges(cable, Theta(bend * np.eye(2), bend)) for bend in (1e9, 2e6, 1e3)]
-    assert edges == [24, 45, 64]
+    assert [first_edges(cable, Theta(bend * np.eye(2), bend)) for bend in (1e9, 2e6, 1e3)] == [24, 45, 64]
 
 
 @pytest.mark.thorough

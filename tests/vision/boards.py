@@ -19,8 +19,7 @@ def texture(board: Board, texels: int) -> tuple[np.ndarray, float]:
     side = round(board.square * texels)
     if board.marker is None:
         rows, columns = np.indices((board.rows + 1, board.columns + 1))
-        squares = np.where((rows + columns) % 2, 255, 0).astype(np.uint8)
-        printed = np.kron(squares, np.ones((side, side), np.uint8))
+        printed = np.kron(np.where((rows + columns) % 2, 255, 0).astype(np.uint8), np.ones((side, side), np.uint8))
     else:
         printed = board.opencv().generateImage((board.columns * side, board.rows * side), marginSize=0, borderBits=1)
     return np.pad(printed, side, constant_values=255).astype(np.float32) / 255, 2 * board.square

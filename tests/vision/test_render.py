@@ -38,8 +38,7 @@ def test_a_line_lies_and_is_as_wide_as_the_projection_says(diameter):
         mass = spline.sum(axis=1)
         centre = (spline * across).sum(axis=1) / mass
         assert np.abs(centre).max() < 0.02 and abs(centre.mean()) < 5e-3
-        wanted = diameter * camera.matrix[0, 0] / camera.depth(curve)[20:-20:3]
-        np.testing.assert_allclose(mass * 0.25 / 150, wanted, rtol=0.02)
+        np.testing.assert_allclose(mass * 0.25 / 150, diameter * camera.matrix[0, 0] / camera.depth(curve)[20:-20:3], rtol=0.02)
 
 
 def test_the_nearer_strand_covers_the_farther():

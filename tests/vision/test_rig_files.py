@@ -71,14 +71,11 @@ def projected(coefficients, turn=np.zeros(3), shift=np.zeros(3), matrix=MATRIX, 
 
 def stereo(path, matrix="K", distortion="D", size=True, coefficients=(-0.2, 0.05, 1e-3, -5e-4, 0.01)) -> None:
     storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_WRITE)
-    for name, value in ((matrix, MATRIX), (distortion, np.array([coefficients]))):
-        storage.write(f"{name}1", value)
-        storage.write(f"{name}2", value)
-    storage.write("R", TURN)
-    storage.write("T", SHIFT.reshape(3, 1))
-    if size:
-        storage.write("image_width", SIZE[0])
-        storage.write("image_height", SIZE[1])
+    of_lenses = {f"{name}{number}": value for number in (1, 2)
+                 for name, value in ((matrix, MATRIX), (distortion, np.array([coefficients])))}
+    of_images = {"image_width": SIZE[0], "image_height": SIZE[1]} if size else {}
+    for name, value in (of_lenses | {"R": TURN, "T": SHIFT.reshape(3, 1)} | of_images).items():
+        storage.write(name, value)
     storage.release()
 
 
@@ -89,8 +86,7 @@ def test_opencv_s_stereo_files(tmp_path, matrix, distortion, coefficients):
     stereo(tmp_path / "stereo.yml", matrix, distortion, coefficients=coefficients)
     found = load_rig(tmp_path / "stereo.yml")
     for camera, turn, shift in zip(found.cameras, (np.eye(3), TURN), (np.zeros(3), SHIFT)):
-        wanted = projected(coefficients, cv2.Rodrigues(turn)[0], shift)
-        np.testing.assert_allclose(camera.project(POINTS), wanted, atol=1e-8)
+        np.testing.assert_allclose(camera.project(POINTS), projected(coefficients, cv2.Rodrigues(turn)[0], shift), atol=1e-8)
     save_rig(tmp_path / "rig.yaml", found)
     np.testing.assert_array_equal(load_rig(tmp_path / "rig.yaml").project(POINTS), found.project(POINTS))
 
