@@ -281,13 +281,12 @@ def test_shapes_are_found_again_from_marks():
     """From where the rods were before a long move of their grippers: drawn to a few marks, then let go."""
     own = tasks(20, 4)
     there = d.Simulation(own.rods, own.nominal, own.clamps).step(own.goal_clamps)
-    rods = np.flatnonzero(there.converged & there.stable)
-    marks = np.where(np.arange(34)[:, None] % 3 == 0, there.configuration.vertices, np.nan)[rods]
-    model = Model(own.nominal.take(rods), np.zeros((len(rods), 12)), np.array([0, 0, 1.0]), Surroundings())
-    clamps = own.goal_clamps.take(rods)
-    found = model.relaxed(model.drawn(own.rods.take(rods), clamps, marks, np.isfinite(marks).all(axis=-1)), clamps)
-    off = np.linalg.norm(found.configuration.vertices - there.configuration.vertices[rods], axis=-1).max(axis=1)
-    assert (off < 0.1).mean() > 0.9
+    own, shapes = (part.take(np.flatnonzero(there.converged & there.stable)) for part in (own, there.configuration))
+    marks = np.where(np.arange(34)[:, None] % 3 == 0, shapes.vertices, np.nan)
+    model = Model(own.nominal, np.zeros((own.count, 12)), np.array([0, 0, 1.0]), Surroundings())
+    drawn = model.drawn(own.rods, own.goal_clamps, marks, np.isfinite(marks).all(axis=-1))
+    found = model.relaxed(drawn, own.goal_clamps).configuration.vertices
+    assert (np.linalg.norm(found - shapes.vertices, axis=-1).max(axis=1) < 0.1).mean() > 0.9
 
 
 @pytest.mark.parametrize(("call", "field"), [

@@ -15,6 +15,7 @@ from doo_ti.rod.frames import across, matrix_from_quaternion, quaternion_about, 
 from doo_ti.vision.render import render_set
 from doo_ti.vision.tubes import smooth_curve
 from tests.conftest import check_refused
+from tests.references.rods import certified
 from tests.vision.scenes import curves, three_cameras
 
 EDGES, LENGTH, FRAMES = 20, 3.0, 16
@@ -41,9 +42,7 @@ def rods() -> np.ndarray:
     """(T, V, 3) mm: at rest without any image, each from the one before."""
     rod, shapes = _begin(), []
     for frame in range(FRAMES):
-        solution = d.relax(rod, MATERIAL, far_motion().at(frame / (FRAMES - 1)), d.Newton.careful())
-        assert solution.converged.all()
-        rod = solution.configuration
+        rod = certified(d.relax(rod, MATERIAL, far_motion().at(frame / (FRAMES - 1)), d.Newton.careful())).configuration
         shapes.append(rod.vertices[0])
     return np.array(shapes)
 

@@ -30,9 +30,8 @@ def refined(folder, *more: str) -> dict:
 
 @pytest.mark.thorough
 def test_its_mean_and_where_it_is_stiffer_are_found(suture):
-    recipe, folder = suture
-    at, marks = points(60), mark_lengths(recipe)[0] / recipe.free
-    along = np.interp(marks, at.s, stiffness_along(recipe, at.s, at.weights))
+    (recipe, folder), at = suture, points(60)
+    along = np.interp(mark_lengths(recipe)[0] / recipe.free, at.s, stiffness_along(recipe, at.s, at.weights))
     found = refined(folder)
     _, low, high = found["stiffness"]["EI_Nm2"]
     assert low <= recipe.EI <= high and high / low < 1.1 and np.ptp(np.log(along)) > 0.15
