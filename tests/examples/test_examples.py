@@ -16,10 +16,8 @@ from tests.processes import ROOT
 from tools.maintenance.gallery import DRAWN_BY, digest
 
 SCRIPTS = [path for path in sorted((ROOT / "docs" / "examples").glob("[0-9][0-9]_*.*")) if path.suffix in (".py", ".sh")]
-DEFAULT = ("01_hang_a_rope.py",)
-"""Of the default run; the full run has all but those that take long."""
-LONG = ("10_cluster.py",)
-"""It starts a cluster of processes, as tests of the full run do too."""
+MARKS = {"01_hang_a_rope.py": (), "10_cluster.py": pytest.mark.slow}
+"""Others belong to the full run. The slow one starts a cluster of processes, as tests of the full run do too."""
 NEEDED = {"16_gradients_jax.py": "jax", "17_gradients_torch.py": "torch"}
 """What some examples use that the package does not depend on."""
 SHIM = """#!/bin/bash
@@ -28,13 +26,6 @@ read -r code < {answers}
 exit "$code"
 """
 """The doo-ti of shell scripts: asks this process to run the command, and takes its exit code."""
-
-
-@pytest.mark.parametrize("script", SCRIPTS, ids=lambda path: path.name)
-def test_the_picture_is_of_the_script_as_it_is(script):
-    """Else ``python tools/maintenance/gallery.py NUMBER`` draws it again."""
-    with Image.open(script.with_suffix(".png")) as picture:
-        assert picture.text.get(DRAWN_BY) == digest(script)
 
 
 @pytest.fixture
@@ -75,8 +66,7 @@ def run_shell(script: Path, folder: Path) -> int:
 
 @pytest.mark.filterwarnings("default")
 @pytest.mark.parametrize("script", [
-    pytest.param(path, id=path.name, marks=() if path.name in DEFAULT else pytest.mark.slow if path.name in LONG else
-                 pytest.mark.thorough) for path in SCRIPTS])
+    pytest.param(path, id=path.name, marks=MARKS.get(path.name, pytest.mark.thorough)) for path in SCRIPTS])
 def test_example(script, folder, monkeypatch):
     if script.name in NEEDED:
         pytest.importorskip(NEEDED[script.name])
@@ -92,11 +82,13 @@ def test_example(script, folder, monkeypatch):
         sys.modules["matplotlib.pyplot"].close("all")
 
 
-def test_every_example_has_a_page_in_the_gallery_and_a_picture():
+def test_every_example_has_a_page_in_the_gallery_and_a_picture_of_the_script_as_it_is():
+    """Else ``python tools/maintenance/gallery.py NUMBER`` draws it again."""
     gallery = (ROOT / "docs" / "examples" / "index.md").read_text(encoding="utf-8")
     for script in SCRIPTS:
-        page = script.with_suffix(".md")
-        assert page.is_file() and f"({page.name})" in gallery, script
+        page, picture = script.with_suffix(".md"), script.with_suffix(".png")
+        assert all(path.is_file() and f"({path.name})" in gallery for path in (page, picture)), script
         assert f"{script.name}\"" in page.read_text(encoding="utf-8"), f"{page} does not show its code"
-        assert (picture := script.with_suffix(".png")).is_file() and f"({picture.name})" in gallery, script
+        with Image.open(picture) as image:
+            assert image.text.get(DRAWN_BY) == digest(script), f"{picture} is of another script"
     assert [int(path.name[:2]) for path in SCRIPTS] == list(range(1, len(SCRIPTS) + 1))

@@ -18,21 +18,12 @@ from tools.studies.servo_tasks import LENGTH, Tasks, tasks
 LENGTHS = np.full(20, 5.0)
 
 
-def two() -> tuple[Shapes, Shapes]:
+def test_shapes_are_those_of_their_rods_and_a_way_leads_from_one_to_the_other_at_a_constant_pace():
     one = Shapes.at_random(4, np.zeros(3), np.full(3, 50.0), LENGTHS, 10, np.random.default_rng(3))
-    return one, one.take(np.array([1, 2, 3, 0]))
-
-
-def test_shapes_are_those_of_their_rods():
-    shapes = two()[0]
-    again = Shapes.of(shapes.rods, 10)
-    assert np.allclose(again.place, shapes.place) and np.allclose(again.joints, shapes.joints, atol=1e-12)
-    assert np.allclose(shapes.apart(again, 60.0), 0.0, atol=1e-5)
-    assert np.allclose(Shapes.of(shapes.rods, 0).rods.vertices, shapes.rods.vertices)
-
-
-def test_a_way_leads_from_one_shape_to_the_other_at_a_constant_pace():
-    one, other = two()
+    again, other = Shapes.of(one.rods, 10), one.take(np.array([1, 2, 3, 0]))
+    assert np.allclose(again.place, one.place) and np.allclose(again.joints, one.joints, atol=1e-12)
+    assert np.allclose(one.apart(again, 60.0), 0.0, atol=1e-5)
+    assert np.allclose(Shapes.of(one.rods, 0).rods.vertices, one.rods.vertices)
     whole = one.apart(other, 60.0)
     assert np.allclose(one.towards(other, np.ones(4)).rods.vertices, other.rods.vertices)
     half = one.towards(other, np.full(4, 0.5))
@@ -130,8 +121,7 @@ def test_obstacles_are_kept_clear_of():
 def test_a_rod_that_rests_on_an_obstacle_is_lifted_off_it():
     own = some().take(np.array([1]))
     middle = own.real.vertices[0, 16] - [0.0, 0, 5.0]
-    pole = d.Capsule(middle - [0.0, 200.0, 0], middle + [0.0, 200.0, 0], 6.0)
-    around = {"obstacles": [pole], "radius": 1.5}
+    around = {"obstacles": [d.Capsule(middle - [0.0, 200.0, 0], middle + [0.0, 200.0, 0], 6.0)], "radius": 1.5}
     start = d.relax(own.real, own.true, own.clamps, **around)
     far = d.relax(own.real, own.true, moved(own.clamps, np.array([[60.0, 0, 60, 0, 0, 0] * 2])))
     assert np.abs(start.contact_force).max() > 1.0

@@ -15,7 +15,6 @@ from tools.studies import table_study
 EDGES, LENGTH, RADIUS = 20, 3.0, 0.5
 MATERIAL, REST_LENGTH = Material(2e3, 2e3), np.full(EDGES, LENGTH)
 TABLE = Surroundings([Plane((0, 0, -10), (0, 0, 1))], RADIUS)
-OPTIONS = PerceptionOptions(hypotheses=15)
 
 
 def lying(up: float, aside: float) -> np.ndarray:
@@ -30,8 +29,9 @@ def lying(up: float, aside: float) -> np.ndarray:
 def test_a_perceived_rod_lies_on_the_table_and_not_in_it():
     rods, rig = np.stack([lying(0.7, 0.1), lying(0.2, 0.3)]), three_cameras()
     maps = drawn_maps(rig, smooth_curve(rods, 4))
-    on_table, free = (perceive(maps, rig, rods[:, 0], rods[:, 1] - rods[:, 0], REST_LENGTH, MATERIAL, options=OPTIONS, **more)
-                      for more in ({"surroundings": TABLE}, {}))
+    given = maps, rig, rods[:, 0], rods[:, 1] - rods[:, 0], REST_LENGTH, MATERIAL
+    on_table, free = (perceive(*given, options=PerceptionOptions(hypotheses=15), **around)
+                      for around in ({"surroundings": TABLE}, {}))
     assert (on_table.status == Status.CONVERGED).all() and on_table.stable.all()
     assert (TABLE.smallest_gap(on_table.vertices) > -1e-3 * RADIUS).all()
     assert (TABLE.smallest_gap(free.vertices) < -0.01 * RADIUS).all(), "without the table the rod's weight pulls it down"

@@ -95,7 +95,7 @@ def test_runners_up_differ_and_the_gap_is_a_distance(loop):
     np.testing.assert_allclose(found.camera_error[0] * pixels, np.maximum(again.camera_error[0], 0), rtol=1e-4)
 
 
-def test_the_verdict_is_a_scale(found):
+def test_the_verdict_is_a_scale_and_one_camera_makes_a_rod_ambiguous(found):
     several = found[0]
     gaps = replace(several, gap=np.array([np.inf, 0.05, 0.001]))
     assert repr(gaps).startswith("Perception(vertices (3, 15, 3)") and "CLEAR" in repr(PerceptionVerdict.CLEAR)
@@ -104,20 +104,16 @@ def test_the_verdict_is_a_scale(found):
     blurred = several.camera_error.copy()
     blurred[:, 1] = 1.5
     assert replace(several, gap=np.full(SETS, 9.0), camera_error=blurred).verdict.tolist() == [PerceptionVerdict.LIKELY] * SETS
-
-
-def test_one_camera_makes_a_rod_ambiguous(found):
-    """However well it fits there: length and stiffness alone say how far away the rod is."""
-    alone = replace(found[0], **{name: getattr(found[0], name)[:, :1] for name in (
+    # However well it fits in one camera: length and stiffness alone say how far away the rod is.
+    alone = replace(several, **{name: getattr(several, name)[:, :1] for name in (
         "camera_error", "hidden", "edge_error", "coverage", "outside", "skipped", "twice", "wider")})
-    assert (found[0].verdict == PerceptionVerdict.CLEAR).any()
+    assert (several.verdict == PerceptionVerdict.CLEAR).any()
     assert (alone.verdict == PerceptionVerdict.AMBIGUOUS).all() and alone.doubts["one camera"].all()
 
 
 def test_images_of_other_cameras_are_no_rod(scene):
     """Two cameras swapped: no rod fits them, which the verdict says."""
-    swapped = DistanceMaps(scene[2].values, np.ascontiguousarray(scene[2].window[:, [1, 0, 2]]))
-    several = recovered((*scene[:2], swapped))
+    several = recovered((*scene[:2], DistanceMaps(scene[2].values, np.ascontiguousarray(scene[2].window[:, [1, 0, 2]]))))
     assert several.verdict.tolist() == [PerceptionVerdict.NOT_FOUND] * SETS
     unseen = replace(several, camera_error=np.full_like(several.camera_error, np.nan))
     assert unseen.verdict.tolist() == [PerceptionVerdict.NOT_FOUND] * SETS
@@ -170,8 +166,7 @@ def test_distinct_rods_are_ranked():
     apart = np.linalg.norm(vertices[:, None] - vertices, axis=-1).mean(axis=-1)
     ranked = rank_distinct(energy, vertices, of_set, 4, 1.9)
     for row in range(3):
-        wanted = greedily(np.where(of_set == row, energy, np.nan), apart < 1.9, 4)
-        assert ranked[row][ranked[row] >= 0].tolist() == wanted
+        assert ranked[row][ranked[row] >= 0].tolist() == greedily(np.where(of_set == row, energy, np.nan), apart < 1.9, 4)
     assert (ranked == -1).any()
 
 
@@ -268,20 +263,16 @@ def test_directions_are_even_and_forward():
     directions = sampled_directions(200)
     np.testing.assert_allclose(np.linalg.norm(directions, axis=1), 1)
     assert (directions[:, 0] > 0).all()
-    cosine = directions @ directions.T - 3 * np.eye(200)
-    nearest = np.degrees(np.arccos(np.clip(cosine.max(axis=1), -1, 1)))
-    assert 5 < nearest.min() and nearest.max() < 12
+    nearest = (directions @ directions.T - 3 * np.eye(200)).max(axis=1)
+    assert np.cos(np.radians(12)) < nearest.min() and nearest.max() < np.cos(np.radians(5))
 
 
-def test_suppression_is_greedy():
+def test_suppression_is_greedy_and_so_is_selection_in_every_set():
     directions, error = sampled_directions(60), np.random.default_rng(4).random((7, 60))
     error[2] = np.inf
-    alike = directions @ directions.T > np.cos(np.radians(30))
     for found, row in zip(suppress_similar(error, directions, np.radians(30), 5), error, strict=True):
-        assert found[found >= 0].tolist() == greedily(row, alike, 5)
+        assert found[found >= 0].tolist() == greedily(row, directions @ directions.T > np.cos(np.radians(30)), 5)
 
-
-def test_selection_is_greedy_in_every_set():
     random = np.random.default_rng(5)
     of_set = np.sort(random.integers(0, 4, 90)) * 2  # sets without any hypothesis are allowed
     score, tip, direction = random.random(90), random.random((90, 3)) * 3, unit_vectors(random.normal(size=(90, 3)))

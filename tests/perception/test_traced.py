@@ -61,6 +61,12 @@ def errors(found, curves, share: float = 1.0) -> np.ndarray:
     return np.array([apart(rod, points) for rod, points in zip(rods, parts, strict=True)])
 
 
+def arch(height: float, turn: float = 0.0) -> np.ndarray:
+    """(N, 3) mm: level, both ends on one epipolar line: a thread as far away as the rays of opposite ends meet looks alike."""
+    s = np.linspace(-1, 1, 2001)
+    return np.stack([40 * s, -height * (1 - s**2) * np.cos(turn * s), 8 * np.sin(1.5 * s + turn)], axis=1)
+
+
 def test_cameras_close_together_see_the_whole_thread(seen):
     found, alone = recovered(seen), recovered(seen, evidence="rod")
     error = errors(found, seen[1])
@@ -72,9 +78,8 @@ def test_cameras_close_together_see_the_whole_thread(seen):
 
 def test_where_a_thread_runs_along_its_epipolar_lines_the_rod_is_on_it():
     """There a tenth of a pixel beside the line is a millimetre of depth. Arches, level at their tops."""
-    rng, s, rig = np.random.default_rng(3), np.linspace(-1, 1, 2001), cameras(40.0, third=False)
-    arches = [np.stack([40 * s, -25 * (1 - s**2) * np.cos(turn * s), 8 * np.sin(1.5 * s + turn)], axis=1) for turn in range(4)]
-    arches = [points * LENGTH_MM / curve_length(points) for points in arches]
+    rng, rig = np.random.default_rng(3), cameras(40.0, third=False)
+    arches = [points * LENGTH_MM / curve_length(points) for points in (arch(25.0, turn) for turn in range(4))]
     found = recovered((rig, arches, [views(rig, points, 0.05, rng) for points in arches]))
     off = [cKDTree(dense(points)).query(rod)[0][:-3].max() for points, rod in zip(arches, found.vertices, strict=True)]
     assert max(off) < 0.2 and (found.verdict == d.PerceptionVerdict.CLEAR).all()
@@ -127,12 +132,6 @@ def test_a_rod_of_another_length_lies_where_the_thread_is(seen, share):
     assert (errors(found, seen[1], share) < 0.8).all() and (np.abs(found.thread_length / LENGTH_MM - 1) < 0.03).all()
     assert not (found.verdict == d.PerceptionVerdict.CLEAR).any()
     assert (np.abs(found.left_over - max(0.0, 1 - share) * LENGTH_MM) < 0.03 * LENGTH_MM).all()
-
-
-def arch(height: float) -> np.ndarray:
-    """(N, 3) mm: level, both ends on one epipolar line: a thread as far away as the rays of opposite ends meet looks alike."""
-    s = np.linspace(-1, 1, 2001)
-    return np.stack([40 * s, -height * (1 - s**2), 8 * np.sin(1.5 * s)], axis=1)
 
 
 @pytest.mark.parametrize(("angle", "height"), [(10.0, 10.0), (15.0, 25.0), (30.0, 10.0)])

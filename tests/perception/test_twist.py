@@ -31,10 +31,9 @@ def test_the_curve_is_eq_4(made):
     options = TwistOptions(step=np.pi / 2, span=np.pi, precision="f64")
     offset = np.linspace(-0.5, 0.7, made.count)
     estimate = estimate_twist(made, MATERIAL, np.zeros(made.count, dtype=int), offset, options)
-    clamps = replace(observation_clamps(made), end=Clamp.TANGENT)
     for place, phi in enumerate(options.angles):
         twisted = replace(made, total_twist=phi + offset)
-        held = held_spins(twisted, clamps, phi + offset)
+        held = held_spins(twisted, replace(observation_clamps(made), end=Clamp.TANGENT), phi + offset)
         solution = relax(start_configuration(twisted, held), MATERIAL, held)
         assert estimate.objective[0, place] == pytest.approx(distance(solution.configuration, made).sum(), rel=1e-6, abs=1e-6)
 

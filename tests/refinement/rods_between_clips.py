@@ -25,6 +25,11 @@ def suture(rotations: int = 4, **fields) -> Observations:
     return synthesise(Synthesis(**(recipe | fields)))
 
 
+def bare(observations: Observations) -> Observations:
+    """As if nobody had measured frames or twists."""
+    return replace(observations, start_frame=None, end_frame=None, total_twist=None)
+
+
 def held(observations: Observations, edges: int = 40, kinds=(None, None)) -> HeldRod:
     return HeldRod(observations, observation_clamps(observations, *kinds), edges)
 

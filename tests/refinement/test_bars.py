@@ -18,8 +18,6 @@ from tests.relaxation.rods import SUTURES, lab
 from tools.studies.marks_study.specimens import drawn, mark_lengths, points, specimen, stiffness_along
 from tools.studies.marks_study.study import GRIDS
 
-CABLE = Theta(3.2e6 * np.eye(2), 3.2e6)
-
 
 def fitted(observations, folder, *known) -> dict[str, dict]:
     """The parameters that ``doo-ti sweep`` and ``doo-ti refine RUN --json`` print as commands, by name; ``known``: options of
@@ -58,10 +56,9 @@ def test_the_lab_s_sutures_are_in_their_intervals(shared_data, tmp_path, name):
 @pytest.mark.slow
 def test_a_real_cable_in_five_folds_by_recording(shared_data):
     path = shared_data / "cables/dlo1.npz"
-    observations = load_observations(path)
-    with np.load(path, allow_pickle=False) as keys:
-        fold = folds_of(keys["source_trajectory"], 5)
-    held = refine_held_out(observations, observation_clamps(observations), CABLE, fold, RefinementOptions(("bend",)))
+    observations, fold = load_observations(path), folds_of(np.load(path)["source_trajectory"], 5)
+    held = refine_held_out(observations, observation_clamps(observations), Theta(3.2e6 * np.eye(2), 3.2e6), fold,
+                           RefinementOptions(("bend",)))
     assert held.mean_distance <= 10.9
 
 

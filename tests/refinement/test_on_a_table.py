@@ -15,13 +15,6 @@ from doo_ti.rod.start import observation_clamps
 from tests.commands.calls import refused, succeeded
 from tools.studies.table_study import TABLE, specimen
 
-TABLE_FILE = '[[obstacles]]\nkind = "plane"\npoint = [0, 0, 0]\nnormal = [0, 0, 1]\n'
-
-
-@pytest.fixture(scope="module")
-def rope():
-    return specimen(2012)
-
 
 def lifted(rigidity: float, height: float, angle: float, marks: int, length: float) -> np.ndarray:
     """(marks, 3) along a smooth rod that lies on z = 0 and is lifted at its start: EI/w θ″ = (R − s) cos θ, EI/w being its
@@ -55,16 +48,16 @@ def test_ropes_that_somebody_lifts_at_one_end(seed):
     seen = d.Observations(np.array(marks) + random.normal(0, 0.3, (8, 31, 3)))
     options = d.RefinementOptions(surroundings=d.Surroundings([d.Plane((0, 0, 0), (0, 0, 1))], radius))
     found = d.refine(seen, observation_clamps(seen, end=d.Clamp.FREE), d.Theta(2 * bend * np.eye(2), 2 * bend), options)
-    parameter = found.estimate.parameter("bend")
-    assert found.converged and found.used.all() and parameter.low < bend < parameter.high < 1.2 * parameter.low
+    one = found.estimate.parameter("bend")
+    assert found.converged and found.used.all() and one.low < bend < one.high < 1.2 * one.low
 
 
 @pytest.mark.thorough
-def test_commands_take_the_table_and_the_run_of_a_sweep_keeps_it(rope, tmp_path, capsys):
-    observations, truth = rope
+def test_commands_take_the_table_and_the_run_of_a_sweep_keeps_it(tmp_path, capsys):
+    observations, truth = specimen(2012)
     path, run = str(tmp_path / "rope.npz"), str(tmp_path / "run")
     d.save_observations(tmp_path / "rope.npz", observations)
-    (tmp_path / "table.toml").write_text(TABLE_FILE)
+    (tmp_path / "table.toml").write_text('[[obstacles]]\nkind = "plane"\npoint = [0, 0, 0]\nnormal = [0, 0, 1]\n')
     obstacles, radius = ["--obstacles", str(tmp_path / "table.toml")], ["--radius", "2"]
     model = ["--rest-curvature", "none", "--clamps", "exact", "--no-models"]
     assert main(["sweep", path, "--bend", "5e4:2e5:3", "--twist", "5e4", *obstacles, *radius, "--out", run, "--precision",
@@ -84,8 +77,8 @@ def test_commands_take_the_table_and_the_run_of_a_sweep_keeps_it(rope, tmp_path,
 
 
 @pytest.mark.thorough
-def test_a_plan_with_the_table_is_another(rope):
-    observations, truth = rope
+def test_a_plan_with_the_table_is_another():
+    observations, truth = specimen(2012)
     observations = observations.take(np.arange(3))
     grid = d.Grid((d.Axis("bend", np.array([0.7, 1.4]) * truth["bend"]), d.Axis("twist", [truth["twist"]])))
     given = dict(sigma=0.1, picks=2, clamp_start=d.Clamp.FRAME, clamp_end=d.Clamp.FRAME)

@@ -11,7 +11,7 @@ from doo_ti.refinement.search import lowest_cells, theta_of_cell
 from doo_ti.rod.frames import rotation_matrix
 from tests.conftest import check_refused
 from tests.references.rods import clamps_at, observed
-from tests.refinement.rods_between_clips import BEND, NOISE, TRUTH, TWIST, suture
+from tests.refinement.rods_between_clips import BEND, NOISE, TRUTH, TWIST, bare, suture
 from tests.relaxation.rods import wandering
 
 QUICK = RefinementOptions(intervals="covariance")
@@ -22,11 +22,6 @@ BEGIN = Theta(1.5 * BEND * np.eye(2), 0.8 * TWIST)
 def seen() -> Observations:
     """Twelve observations of a curved rod between clips of 2.5 mm, noisy."""
     return suture()
-
-
-@pytest.fixture(scope="module")
-def found(seen):
-    return fitted(seen, models=True, intervals="profile")
 
 
 def fitted(seen: Observations, theta: Theta = BEGIN, **options):
@@ -45,12 +40,17 @@ def holds(parameter, truth: float) -> bool:
     return (parameter.low is None or parameter.low <= truth) and (parameter.high is None or truth <= parameter.high)
 
 
+def assert_holds(out, **truth: float) -> None:
+    """Every interval of these parameters, of bend and twist by default, holds its truth."""
+    for name, value in (truth or {"bend": BEND, "twist": TWIST}).items():
+        assert holds(out.estimate.parameter(name), value), name
+
+
 def test_noise_free_straight_rods_between_known_clips_give_their_theta_back(rng):
     observations, truth = own_mesh(rng)
     out = fitted(observations, Theta(1.4 * truth.bend, 0.8 * truth.twist), clip=1.5, curvature="none", clamps="exact", edges=14)
     assert out.converged and out.used.all() and out.mean_distance < 1e-4
-    assert out.theta.bend[0, 0] == pytest.approx(truth.bend[0, 0], rel=1e-4)
-    assert out.theta.twist == pytest.approx(truth.twist, rel=1e-4)
+    assert (out.theta.bend[0, 0], out.theta.twist) == pytest.approx((truth.bend[0, 0], truth.twist), rel=1e-4)
 
 
 @pytest.mark.thorough
@@ -81,17 +81,15 @@ def test_a_ribbon_s_three_stiffnesses_come_back():
     ribbon = suture(frames=True, bend=((9e5, 0.0), (0.0, 3e5)), label_noise_mm=0.02)
     out = fitted(ribbon, Theta(np.diag([6e5, 4e5]), 4e5), parameters=("bend_1", "bend_2", "twist"), frame_weight=5.0)
     assert out.converged
-    for name, value in (("bend_1", 9e5), ("bend_2", 3e5), ("twist", TWIST)):
-        assert holds(out.estimate.parameter(name), value), name
+    assert_holds(out, bend_1=9e5, bend_2=3e5, twist=TWIST)
 
 
 @pytest.mark.thorough
-def test_intervals_hold_the_truth_of_a_curved_rod_between_clips(found):
+def test_intervals_hold_the_truth_of_a_curved_rod_between_clips(seen):
+    found = fitted(seen, models=True, intervals="profile")
     assert found.converged and found.used.all() and found.reasons == {}
-    for name, truth in (("bend", BEND), ("twist", TWIST), ("twist_ratio", TWIST / BEND)):
-        assert holds(found.estimate.parameter(name), truth), name
     # The lab's fine edges clamp half an edge before the clip ends.
-    assert holds(found.estimate.parameter("clip_start"), 2.25) and holds(found.estimate.parameter("clip_end"), 2.25)
+    assert_holds(found, bend=BEND, twist=TWIST, twist_ratio=TWIST / BEND, clip_start=2.25, clip_end=2.25)
     assert found.adequacy.noise == pytest.approx(NOISE, rel=0.1) and found.adequacy.reaches_noise
     assert abs(found.adequacy.correlation) < 0.1 and not found.adequacy.advice and found.mesh_error < NOISE
     outline = found.estimate.region("bend", "twist")
@@ -101,10 +99,13 @@ def test_intervals_hold_the_truth_of_a_curved_rod_between_clips(found):
 
 
 @pytest.mark.thorough
-def test_stated_errors_of_frames_are_taken(seen):
+def test_stated_errors_of_frames_and_marks_are_taken_and_checked(seen):
     tight, learned = (fitted(seen, frame_error=error) for error in ((0.05, 1e-3), None))
     assert tight.estimate.scales["turn_scatter"] == 1e-3 and learned.estimate.scales["turn_scatter"] != 1e-3
-    assert holds(tight.estimate.parameter("bend"), BEND)
+    assert_holds(tight, bend=BEND)
+    right, small = (fitted(replace(seen, sigma=np.array(sigma))) for sigma in (NOISE, 0.02))
+    assert right.adequacy.stated and right.adequacy.reaches_noise and right.adequacy.excess == pytest.approx(1, abs=0.1)
+    assert not small.adequacy.reaches_noise
 
 
 @pytest.mark.thorough
@@ -114,7 +115,7 @@ def test_whole_turns_that_nobody_measured_are_found(factor):
     twisted = suture(end_rotations_deg=(0.0, 90.0, 170.0, 250.0, -120.0, -200.0), end_distances_mm=(42.0, 78.0))
     out = fitted(replace(twisted, total_twist=None), Theta(BEND * np.eye(2), factor * TWIST))
     assert out.converged and out.used.all()
-    assert holds(out.estimate.parameter("bend"), BEND) and holds(out.estimate.parameter("twist"), TWIST)
+    assert_holds(out)
 
 
 @pytest.mark.thorough
@@ -132,16 +133,15 @@ def test_whole_turns_that_were_measured_wrong_are_left_out():
 def test_what_a_model_lacks_is_named(seen):
     out = fitted(seen, curvature="none", clip=0.0, clamps="exact")
     assert not out.adequacy.reaches_noise and out.adequacy.gap > NOISE
-    options = " ".join(one.option for one in out.adequacy.advice)
-    assert "rest_curvature=field" in options and "clip=unknown" in options
+    assert {"rest_curvature=field", "clip=unknown"} <= {one.option for one in out.adequacy.advice}
 
 
 @pytest.mark.thorough
 def test_a_parameter_the_rods_do_not_feel_changes_no_interval(rng):
     """Twist where the rolls of both ends are unknown: not determined, and bend as without it."""
     rods, truth = own_mesh(rng)
-    observations = replace(rods, vertices=rods.vertices + 0.02 * rng.normal(size=rods.vertices.shape), start_frame=None,
-                           end_frame=None)
+    vertices = rods.vertices + 0.02 * rng.normal(size=rods.vertices.shape)
+    observations = replace(rods, vertices=vertices, start_frame=None, end_frame=None)
     with_twist, without = (fitted(observations, truth, parameters=names, curvature="none", intervals="profile").estimate
                            for names in (("bend", "twist"), ("bend",)))
     assert "twist" in with_twist.left_open
@@ -152,33 +152,24 @@ def test_a_parameter_the_rods_do_not_feel_changes_no_interval(rng):
 def test_a_common_scale_is_not_determined(seen):
     out = fitted(seen, parameters=("bend", "twist", "weight"))
     assert {"bend", "twist", "weight"} <= set(out.estimate.left_open)
-    over = {one.name: one for one in out.estimate.over_weight}
-    assert holds(over["bend"], BEND / 2) and 0 < over["bend"].low < BEND / 2
+    over = next(one for one in out.estimate.over_weight if one.name == "bend")
+    assert holds(over, BEND / 2) and 0 < over.low < BEND / 2
 
 
 @pytest.mark.thorough
 def test_missing_marks_and_wrong_branches(seen):
-    valid = seen.valid.copy()
+    valid, twist = seen.valid.copy(), seen.total_twist.copy()
     valid[:, 5:25:4] = False
-    twist = seen.total_twist.copy()
     twist[[2, 7]] += 2 * np.pi
     out = fitted(replace(seen, valid=valid, total_twist=twist))
     assert out.used.sum() >= 10
-    assert holds(out.estimate.parameter("bend"), BEND) and holds(out.estimate.parameter("twist"), TWIST)
-
-
-@pytest.mark.thorough
-def test_a_stated_sigma_is_taken_and_checked(seen):
-    right, small = (fitted(replace(seen, sigma=np.array(sigma))) for sigma in (NOISE, 0.02))
-    assert right.adequacy.stated and right.adequacy.reaches_noise and right.adequacy.excess == pytest.approx(1, abs=0.1)
-    assert not small.adequacy.reaches_noise
+    assert_holds(out)
 
 
 @pytest.mark.thorough
 def test_rods_without_an_equilibrium_do_not_count(seen):
     clamps = observation_clamps(seen)
-    apart = clamps.end_position.copy()
-    apart[2] += [500.0, 0.0, 0.0]
+    apart = clamps.end_position + np.where(np.arange(12) == 2, 500.0, 0.0)[:, None] * [1, 0, 0]
     out = refine(seen, replace(clamps, end_position=apart), BEGIN, QUICK)
     assert not out.used[2] and out.used.sum() == 11 and out.reasons == {"infeasible": 1}
     assert out.status[2] == Status.INFEASIBLE and np.isnan(out.distance[2]) and np.isfinite(out.mean_distance)
@@ -219,13 +210,12 @@ def test_held_out_errors_are_those_of_rods_the_fit_did_not_see(seen):
 def test_a_fixed_twist_stiffness_bounds_bend_less_than_one_that_is_learned():
     """Straight rods whose frames nobody reported: a learned twist stiffness is expected near that of bend, which bounds bend. A
     fixed one is no such bound: the ratio of both may become anything."""
-    rods = replace(suture(rotations=3, rest_curvature_rms_per_mm=0.0), start_frame=None, end_frame=None, total_twist=None)
+    rods = bare(suture(rotations=3, rest_curvature_rms_per_mm=0.0))
     fixed, learned = (fitted(rods, TRUTH, parameters=names, curvature="none", intervals="profile").estimate
                       for names in (("bend",), ("bend", "twist")))
-    assert holds(fixed.parameter("bend"), BEND) and holds(learned.parameter("bend"), BEND)
-    assert fixed.parameter("bend").error == pytest.approx(learned.parameter("bend").error, rel=0.1)
-    assert fixed.parameter("bend").high > learned.parameter("bend").high
-    assert not learned.parameter("twist").determined
+    one, other = fixed.parameter("bend"), learned.parameter("bend")
+    assert holds(one, BEND) and holds(other, BEND) and one.high > other.high
+    assert one.error == pytest.approx(other.error, rel=0.1) and not learned.parameter("twist").determined
 
 
 def test_wrong_options_are_refused(seen):
@@ -241,20 +231,18 @@ def test_wrong_options_are_refused(seen):
 @pytest.mark.thorough
 def test_clips_have_intervals_in_mm_however_wide():
     """The end of a clip is a length: that it may be off by more than the logarithm of a factor of a thousand says nothing."""
-    angle = np.linspace(0.0, 1.0, 9)[:, None] * np.array([0.5, 0.8, 1.1])
-    arcs = np.stack([np.sin(angle), 0 * angle, 1 - np.cos(angle)], axis=-1).swapaxes(0, 1)
-    observations = Observations(600.0 / angle[-1, :, None, None] * arcs)
+    angle = np.outer([0.5, 0.8, 1.1], np.linspace(0.0, 1.0, 9))
+    arcs = np.stack([np.sin(angle), 0 * angle, 1 - np.cos(angle)], axis=-1)
+    observations = Observations(600.0 / angle[:, -1:, None] * arcs)
     out = fitted(observations, Theta(1e7 * np.eye(2), 1e7), parameters=("bend",), curvature="none", iterations=2)
     clip = out.estimate.parameter("clip_start")
     assert clip.low is not None and clip.high - clip.low > 7.0
 
 
 @pytest.mark.thorough
-def test_outer_marks_that_are_off_with_their_frames_do_not_bend_the_fit():
+def test_outer_marks_that_are_off_with_their_frames_do_not_bend_the_fit(seen):
     """Reported frames 2 degrees off about y, the outer marks 0.2 mm: the place and direction that a robot believes."""
-    seen = suture()
-    tilt = rotation_matrix(np.array([0.0, np.radians(2.0), 0.0]))
-    vertices = seen.vertices.copy()
+    tilt, vertices = rotation_matrix(np.array([0.0, np.radians(2.0), 0.0])), seen.vertices.copy()
     vertices[:, [0, -1]] += [0.0, 0.1, 0.2]
     off = replace(seen, vertices=vertices, start_frame=tilt @ seen.start_frame, end_frame=tilt.T @ seen.end_frame)
     found = fitted(off, TRUTH)

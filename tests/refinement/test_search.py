@@ -14,7 +14,7 @@ from doo_ti.refinement.search import turns_chosen_again, twisted
 from doo_ti.refinement.theta import Scales, typical_scales
 from doo_ti.refinement.unknowns import Unknowns, Values
 from tests.io.rods import joint_twist
-from tests.refinement.rods_between_clips import TRUTH, held, suture
+from tests.refinement.rods_between_clips import TRUTH, bare, held, suture
 
 
 def fit_of(seen: Observations) -> tuple[Fit, Values, Scales]:
@@ -31,8 +31,7 @@ def _twist(state: State) -> np.ndarray:
 @pytest.mark.thorough
 def test_a_converged_fit_is_at_rest_in_every_observation():
     """While the clamps of a single observation still move, the evidence is not that of the optimum."""
-    seen = replace(suture(), start_frame=None, end_frame=None, total_twist=None)
-    options = RefinementOptions(curvature="field")
+    seen, options = bare(suture()), RefinementOptions(curvature="field")
     for found in optima(seen, observation_clamps(seen), (TRUTH,), options):
         one = finished(found, options)
         assert found.fitted.converged and one.fitted.converged
@@ -69,8 +68,7 @@ def test_twists_do_not_follow_the_guessed_place_of_a_missing_outer_mark():
     vertices[::2, -1] = vertices[1::3, 0] = np.nan
     seen = replace(turned, vertices=vertices, rest_length=rest, valid=np.isfinite(vertices).all(axis=-1), total_twist=None)
     fit, values, scales = fit_of(seen)
-    begun = fit.begin(replace(values, clip=np.full(2, 1.5)), scales)
-    np.testing.assert_allclose(_twist(begun), turned.total_twist, atol=1.0)
+    np.testing.assert_allclose(_twist(fit.begin(replace(values, clip=np.full(2, 1.5)), scales)), turned.total_twist, atol=1.0)
 
 
 def test_intervals_contain_those_of_other_optima():

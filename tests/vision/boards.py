@@ -30,9 +30,7 @@ def look(board: Board, camera: Camera, rotation: np.ndarray, translation: np.nda
     """(height, width) uint8: what ``camera`` sees of the board at the world pose x = R p + t."""
     texels = camera.width // 160  # about as many as rays: of finer ones a slanted view would miss some
     printed, margin = texture(board, texels)
-    fine = np.array(camera.matrix)
-    fine[0] *= OVERSAMPLING
-    fine[1] *= OVERSAMPLING
+    fine = np.diag([OVERSAMPLING, OVERSAMPLING, 1]) @ camera.matrix
     fine[:2, 2] += (OVERSAMPLING - 1) / 2
     size = (camera.width * OVERSAMPLING, camera.height * OVERSAMPLING)
     ray_x, ray_y = _rays(tuple(fine.ravel()), tuple(camera.distortion), size)
@@ -83,7 +81,7 @@ def poses(board: Board, count: int, rng: np.random.Generator) -> list[tuple[np.n
 def sightings(board: Board, rig: Rig, placed: list, noise: float, rng: np.random.Generator,
               sees=lambda view, camera: True) -> list[Sighting]:
     """All corners of the board at each of its poses, in each camera that ``sees`` it, with ``noise`` px."""
-    everything = np.arange(len(board.points))
-    return [Sighting(view, index, everything, camera.project(board.points @ turn.T + place)
-                     + rng.normal(0, noise, (len(everything), 2)))
+    count = len(board.points)
+    return [Sighting(view, index, np.arange(count),
+                     camera.project(board.points @ turn.T + place) + rng.normal(0, noise, (count, 2)))
             for view, (turn, place) in enumerate(placed) for index, camera in enumerate(rig.cameras) if sees(view, index)]

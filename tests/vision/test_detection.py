@@ -22,8 +22,7 @@ LINE = smooth_curve(bow(), 20)
 def errors(options: RenderOptions, diameter: float, detection: DetectionOptions = DetectionOptions()):
     """Errors, completeness and false points over the small rig's images, and the last detection."""
     found = [detect(image, detection) for image in render_set(small_rig(), bow(), diameter, options, 7)]
-    parts = [against(one, camera.project(LINE)) for one, camera in zip(found, small_rig().cameras)]
-    error, complete, false = zip(*parts)
+    error, complete, false = zip(*[against(one, camera.project(LINE)) for one, camera in zip(found, small_rig().cameras)])
     return np.concatenate(error), min(complete), max(false), found[-1]
 
 
@@ -42,8 +41,7 @@ def test_directions_are_tangents_and_points_are_dense():
     found = errors(PLAIN, 1.3)[-1]
     line = small_rig().cameras[-1].project(smooth_curve(bow(), 200))
     nearest = cKDTree(line).query(found.points)[1]
-    across = (normals(line)[nearest] * found.direction).sum(axis=1)
-    assert np.median(np.abs(across)) < np.sqrt(1 - 0.999**2)
+    assert np.median(np.abs((normals(line)[nearest] * found.direction).sum(axis=1))) < np.sqrt(1 - 0.999**2)
     assert np.diff(np.sort(arc_lengths(line)[nearest])).max() < 1.15
 
 

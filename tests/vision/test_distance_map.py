@@ -59,11 +59,9 @@ def test_the_valley_does_not_ripple_along_the_line():
 
 
 def test_windows_stay_within_the_image_and_do_not_depend_on_the_batch():
-    near_border = line_of(np.array([[0.4, 358.7]]), np.array([1.0, 0.0]), shape=SHAPE)
-    maps = distance_maps([[near_border], [circle(30.0)]], 25)
+    maps = distance_maps([[line_of(np.array([[0.4, 358.7]]), np.array([1.0, 0.0]), shape=SHAPE)], [circle(30.0)]], 25)
     np.testing.assert_array_equal(maps.window[0, 0], [0, 0, 333, 27, 27])
-    alone = distance_maps([[circle(30.0)]], 25)
-    np.testing.assert_array_equal(map_of(maps, 1, 0).distances, map_of(alone, 0, 0).distances)
+    np.testing.assert_array_equal(map_of(maps, 1, 0).distances, map_of(distance_maps([[circle(30.0)]], 25), 0, 0).distances)
 
 
 def test_detections_without_a_map_are_refused():

@@ -148,11 +148,15 @@ def test_bad_input_is_refused(call, word):
     check_refused(word, call, drawn((wave(), RED, 6)))
 
 
-def cables(folder, kind: str):
-    """(picture, mask, (N, 2) px of its middle, a pixel of it that no other cable hides) of each cable."""
-    for picture in sorted(folder.glob(f"{kind}_*.jpg")):
+@pytest.mark.thorough
+@pytest.mark.parametrize("kind, recall, precision", [("simple", 0.8, 0.8), ("hard", 0.7, 0.8)])
+def test_cables_in_photographs(shared_data, kind, recall, precision):
+    """Masks of this set are strokes along splines, up to a few px beside the cables. Clicks are where no other cable hides
+    the one."""
+    of_masks, of_clicks = [], []
+    for picture in sorted((shared_data / "photographs").glob(f"{kind}_*.jpg")):
         masks = [cv2.imread(str(path), cv2.IMREAD_GRAYSCALE) > 0
-                 for path in sorted(folder.glob(f"{picture.stem}_mask_[0-9].png"))]
+                 for path in sorted(picture.parent.glob(f"{picture.stem}_mask_[0-9].png"))]
         for mask in masks:
             inner = cv2.distanceTransform(mask.astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
             middle = np.argwhere(inner >= 0.8 * np.median(inner[mask]) * 2)[:, ::-1]
@@ -191,8 +195,7 @@ def test_a_needle_wider_than_its_thread_and_a_glint_within_it(near, parts):
 def test_a_wide_thread_is_found_as_exactly_as_a_narrow_one(width):
     """Its two halves differ, as lit from one side: the middle is between its edges."""
     curve = wave()
-    halves = [(beside(curve, sign * width / 4), (level,) * 3, width // 2) for sign, level in ((-1, 40), (1, 90))]
-    found = detect(drawn(*halves))
+    found = detect(drawn(*[(beside(curve, sign * width / 4), (level,) * 3, width // 2) for sign, level in ((-1, 40), (1, 90))]))
     assert found.width_px == pytest.approx(width, abs=3.0)
     assert np.median(cKDTree(curve).query(found.points)[0]) < 0.25 and shares(found.points, curve)[0] > 0.98
 

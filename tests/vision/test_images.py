@@ -17,13 +17,9 @@ from tests.conftest import check_refused
 from tests.vision.boards import around
 from tests.vision.test_follow import SIZE, beside, drawn, shares, wave
 
-
-def picture() -> np.ndarray:
-    """(60, 80) uint8 with a dark line and a light border at its left."""
-    image = np.full((60, 80), 180, np.uint8)
-    image[:, :5] = 255
-    image[28:33] = 40
-    return image
+PICTURE = np.full((60, 80), 180, np.uint8)
+PICTURE[:, :5] = 255  # a light border at its left
+PICTURE[28:33] = 40  # and a dark line
 
 
 def camera(turned: bool = False) -> Camera:
@@ -40,20 +36,20 @@ def tagged(path, image: np.ndarray, tag: int) -> None:
     ("tiff", "fractions")])
 def test_images_of_any_depth(tmp_path, suffix, bits):
     if bits == "fractions":
-        deep = (picture() / 255).astype(np.float32)
+        deep = (PICTURE / 255).astype(np.float32)
         deep[0, 0] = np.nan
     else:
-        deep = np.round(picture() * ((2**bits - 1) / 255)).astype(np.uint16 if bits > 8 else np.uint8)
+        deep = np.round(PICTURE * ((2**bits - 1) / 255)).astype(np.uint16 if bits > 8 else np.uint8)
     cv2.imwrite(str(tmp_path / f"deep.{suffix}"), deep)
     found = read_image(tmp_path / f"deep.{suffix}", camera())
-    assert found.dtype == np.uint8 and np.abs(found.astype(int) - picture())[np.isfinite(deep)].max() <= 1
+    assert found.dtype == np.uint8 and np.abs(found.astype(int) - PICTURE)[np.isfinite(deep)].max() <= 1
 
 
 @pytest.mark.parametrize("tag", range(1, 9))
 def test_tags_are_ignored_unless_the_rig_says_otherwise(tmp_path, tag):
     path = tmp_path / "image.jpg"
-    tagged(path, picture(), tag)
-    assert np.abs(read_image(path, camera()).astype(int) - picture()).max() < 12
+    tagged(path, PICTURE, tag)
+    assert np.abs(read_image(path, camera()).astype(int) - PICTURE).max() < 12
     assert orientation_tags([path]) == (tag > 1)
     assert read_image(path, turned=True).shape == ((80, 60) if tag > 4 else (60, 80))
     if tag > 4:
@@ -63,10 +59,10 @@ def test_tags_are_ignored_unless_the_rig_says_otherwise(tmp_path, tag):
 
 
 def test_alpha_channels_and_masks(tmp_path):
-    alpha = np.where(picture() < 100, 255, 0).astype(np.uint8)
+    alpha = np.where(PICTURE < 100, 255, 0).astype(np.uint8)
     (tmp_path / "masks").mkdir()
-    for name, image in (("cut", np.dstack([picture()] * 3 + [alpha])), ("plain", picture()), ("masks/plain", alpha // 255),
-                        ("opaque", np.dstack([picture()] * 3 + [np.full_like(alpha, 255)]))):
+    for name, image in (("cut", np.dstack([PICTURE] * 3 + [alpha])), ("plain", PICTURE), ("masks/plain", alpha // 255),
+                        ("opaque", np.dstack([PICTURE] * 3 + [np.full_like(alpha, 255)]))):
         cv2.imwrite(str(tmp_path / f"{name}.png"), image)
     np.testing.assert_array_equal(read_mask(tmp_path / "cut.png"), alpha)
     assert read_mask(tmp_path / "opaque.png") is None and read_mask(tmp_path / "plain.png") is None
@@ -144,11 +140,6 @@ def test_a_thread_is_dark_or_light_in_all_images_of_a_set(tmp_path):
         assert len({one.polarity for one in agreed}) == 1 and abs(np.median(agreed[1].points[:, 1]) - row) < 8
 
 
-def test_pixels_outside_their_images_are_refused():
-    check_refused("seed pixel: -3,5 is outside the image of cam0", ImageSets, ("one",), ((Path("a.png"),),), Rig((camera(),)),
-                  None, None, "sets", ({0: (-3.0, 5.0)},))
-
-
 def test_libraries_say_nothing_of_damaged_images(tmp_path, capfd):
     """Of such as begin and end well, too, and from several threads; afterwards the standard error is heard again."""
     good = cv2.imencode(".png", np.zeros((20, 30), np.uint8))[1].tobytes()
@@ -187,6 +178,8 @@ def test_a_file_of_sets_whose_rods_begin_at_points_or_pixels(tmp_path):
     sets = load_sets(tmp_path / "sets.csv", around())
     assert sets.point is None and sets.direction is None and sets.rig.names == ("cam0", "cam2")
     assert sets.clicks == ({0: (10.0, 20.5)}, {0: (1.0, 2.0), 1: (3.0, 4.0)}, {1: (5.0, 6.0)})
+    check_refused("seed pixel: -3,5 is outside the image of cam0", ImageSets, ("one",), ((Path("a.png"),),), Rig((camera(),)),
+                  None, None, "sets", ({0: (-3.0, 5.0)},))
 
 
 @pytest.mark.parametrize("text, word", [
@@ -216,6 +209,6 @@ def test_masks_of_images_of_the_same_name_lie_in_folders_of_the_same_names(tmp_p
 
 
 def test_a_jpeg_may_have_fill_bytes(tmp_path):
-    content = cv2.imencode(".jpg", picture())[1].tobytes()
+    content = cv2.imencode(".jpg", PICTURE)[1].tobytes()
     (tmp_path / "filled.jpg").write_bytes(content[:2] + b"\xff\xff" + content[2:])
-    assert read_image(tmp_path / "filled.jpg").shape == picture().shape
+    assert read_image(tmp_path / "filled.jpg").shape == PICTURE.shape

@@ -50,8 +50,7 @@ def test_at_rest_no_turn_of_an_edge_lowers_the_oracle_s_energy(kind, scene, rng)
     assert found.converged.all() and found.stable.all()
     for row, (vertices, energy) in enumerate(zip(found.configuration.vertices, found.energy)):
         assert energy == pytest.approx(energy_vis(scene, row, vertices), rel=1e-9)
-        first = 0 if kind == Clamp.POSITION else 1
-        for edge in rng.integers(first, EDGES, 12):
+        for edge in rng.integers(0 if kind == Clamp.POSITION else 1, EDGES, 12):
             axis, slope = rng.normal(size=3), []
             for angle in (2e-4, -2e-4):
                 step = np.diff(vertices, axis=0)

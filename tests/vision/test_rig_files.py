@@ -12,7 +12,7 @@ from tests.conftest import check_refused
 from tests.vision.boards import around
 
 
-def test_projection_is_opencv_s():
+def test_projection_is_opencv_s_and_cameras_have_names():
     grid = np.random.default_rng(1).uniform(-60, 60, size=(5, 7, 3))
     pixels = around().project(grid)
     assert pixels.shape == (3, 5, 7, 2)
@@ -23,6 +23,8 @@ def test_projection_is_opencv_s():
         np.testing.assert_allclose(camera.rotation @ camera.centre + camera.translation, 0, atol=1e-10)
         behind = camera.centre - 10 * camera.rotation[2]
         assert np.isnan(camera.project(behind)).all() and camera.depth(behind) == pytest.approx(-10)
+    assert around().only(["cam2", "cam0"]).names == ("cam2", "cam0")
+    check_refused("no camera", around().only, ["cam7"])
 
 
 @pytest.mark.sampled(9)
@@ -56,35 +58,24 @@ def test_invalid_cameras_are_refused(change):
     check_refused(": ", replace, around().cameras[0], **change)
 
 
-def test_cameras_by_name():
-    assert around().only(["cam2", "cam0"]).names == ("cam2", "cam0")
-    check_refused("no camera", around().only, ["cam7"])
-
-
 MATRIX = np.array([[610.0, 0, 633], [0, 612, 471], [0, 0, 1]])
 SIZE = 1280, 960
+POINTS = np.random.default_rng(4).uniform((-200, -150, 250), (200, 150, 500), (200, 3))
 TURN, SHIFT = cv2.Rodrigues(np.array([0.05, -0.3, 0.02]))[0], np.array([-60.0, 3, 5])
 
 
-def points(count=200) -> np.ndarray:
-    return np.random.default_rng(4).uniform((-200, -150, 250), (200, 150, 500), (count, 3))
-
-
 def projected(coefficients, turn=np.zeros(3), shift=np.zeros(3), matrix=MATRIX, lens=cv2) -> np.ndarray:
-    """(N, 2) px of ``points()`` by OpenCV, or by its module of another ``lens``."""
-    return lens.projectPoints(points()[:, None], turn, shift, matrix, np.array(coefficients))[0].reshape(-1, 2)
+    """(N, 2) px of ``POINTS`` by OpenCV, or by its module of another ``lens``."""
+    return lens.projectPoints(POINTS[:, None], turn, shift, matrix, np.array(coefficients))[0].reshape(-1, 2)
 
 
 def stereo(path, matrix="K", distortion="D", size=True, coefficients=(-0.2, 0.05, 1e-3, -5e-4, 0.01)) -> None:
     storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_WRITE)
-    for name, value in ((matrix, MATRIX), (distortion, np.array([coefficients]))):
-        storage.write(f"{name}1", value)
-        storage.write(f"{name}2", value)
-    storage.write("R", TURN)
-    storage.write("T", SHIFT.reshape(3, 1))
-    if size:
-        storage.write("image_width", SIZE[0])
-        storage.write("image_height", SIZE[1])
+    of_lenses = {f"{name}{number}": value for number in (1, 2)
+                 for name, value in ((matrix, MATRIX), (distortion, np.array([coefficients])))}
+    of_images = {"image_width": SIZE[0], "image_height": SIZE[1]} if size else {}
+    for name, value in (of_lenses | {"R": TURN, "T": SHIFT.reshape(3, 1)} | of_images).items():
+        storage.write(name, value)
     storage.release()
 
 
@@ -95,10 +86,9 @@ def test_opencv_s_stereo_files(tmp_path, matrix, distortion, coefficients):
     stereo(tmp_path / "stereo.yml", matrix, distortion, coefficients=coefficients)
     found = load_rig(tmp_path / "stereo.yml")
     for camera, turn, shift in zip(found.cameras, (np.eye(3), TURN), (np.zeros(3), SHIFT)):
-        wanted = projected(coefficients, cv2.Rodrigues(turn)[0], shift)
-        np.testing.assert_allclose(camera.project(points()), wanted, atol=1e-8)
+        np.testing.assert_allclose(camera.project(POINTS), projected(coefficients, cv2.Rodrigues(turn)[0], shift), atol=1e-8)
     save_rig(tmp_path / "rig.yaml", found)
-    np.testing.assert_array_equal(load_rig(tmp_path / "rig.yaml").project(points()), found.project(points()))
+    np.testing.assert_array_equal(load_rig(tmp_path / "rig.yaml").project(POINTS), found.project(POINTS))
 
 
 def test_size_and_unit_may_be_given_and_extrinsics_lie_beside(tmp_path):
@@ -124,7 +114,7 @@ def test_one_camera_of_opencv_or_ros(tmp_path, kind):
         "distortion_coefficients", 5, (0.1, -0.02, 1e-3, 0.0, 0.01))
     (tmp_path / "camera.yml").write_text(text if kind else text.partition("---")[2].replace("   dt: d\n", ""))
     (camera,) = load_rig(tmp_path / "camera.yml").cameras
-    np.testing.assert_allclose(camera.project(points()), projected((0.1, -0.02, 1e-3, 0.0, 0.01)), atol=1e-8)
+    np.testing.assert_allclose(camera.project(POINTS), projected((0.1, -0.02, 1e-3, 0.0, 0.01)), atol=1e-8)
     (tmp_path / "bad.yml").write_text(text.replace("rows: 3", "rows: 4"))
     check_refused("camera_matrix|K|matrix", load_rig, tmp_path / "bad.yml")
 
@@ -151,11 +141,11 @@ LENSES = {
     "OPENCV_FISHEYE": ("610 612 633.5 471.5 .02 .01 -.003 .0005", FISHEYE)}
 
 
-def colmap(folder, model: str, points_lines=("", "1.5 2.5 7 3 4 -1")) -> None:
+def colmap(folder, model: str) -> None:
     (folder / "cameras.txt").write_text(f"# cameras\n1 {model} 1280 960 {LENSES[model][0]}\n")
     w, (x, y, z) = np.cos(0.1), np.sin(0.1) * np.array([0.6, 0.8, 0])
-    (folder / "images.txt").write_text(f"# images\n1 1 0 0 0 0 0 0 1 left.png\n{points_lines[0]}\n"
-                                       f"2 {w} {x} {y} {z} -60 3 5 1 right view.png\n{points_lines[1]}\n")
+    (folder / "images.txt").write_text(f"# images\n1 1 0 0 0 0 0 0 1 left.png\n\n"
+                                       f"2 {w} {x} {y} {z} -60 3 5 1 right view.png\n1.5 2.5 7 3 4 -1\n")
 
 
 @pytest.mark.parametrize("model", LENSES)
@@ -168,7 +158,7 @@ def test_colmap_s_text(tmp_path, model):
         matrix[1, 1] = 610
     lens, atol = (cv2.fisheye, 0.2) if model.endswith("FISHEYE") else (cv2, 1e-8)
     wanted = projected(LENSES[model][1], 0.2 * np.array([0.6, 0.8, 0]), SHIFT, matrix, lens)
-    np.testing.assert_allclose(found.cameras[1].project(points()), wanted, atol=atol)
+    np.testing.assert_allclose(found.cameras[1].project(POINTS), wanted, atol=atol)
 
 
 @pytest.mark.parametrize("file, old, new", [
