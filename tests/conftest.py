@@ -76,13 +76,20 @@ def rng() -> np.random.Generator:
     return np.random.default_rng(SEED)
 
 
+class DevelopmentData(type(Path())):
+    """A folder of which what is asked for, and is not there, skips the test."""
+
+    def __truediv__(self, name: str) -> Path:
+        found = super().__truediv__(name)
+        if not found.exists():
+            pytest.skip(f"development data absent: {found}")
+        return found
+
+
 @pytest.fixture(scope="session")
 def shared_data() -> Path:
-    """The folder of development data, which is not part of the project: tests that need it skip without it."""
-    folder = Path(__file__).resolve().parents[2] / "shared" / "data"
-    if not folder.is_dir():
-        pytest.skip(f"development data absent: {folder}")
-    return folder
+    """The folder of development data, which is not part of the project."""
+    return DevelopmentData(Path(__file__).resolve().parents[2]) / "shared" / "data"
 
 
 @pytest.fixture(scope="session")

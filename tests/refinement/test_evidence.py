@@ -16,6 +16,7 @@ from tests.refinement.rods_between_clips import TRUTH, assert_gradient, held, mo
 
 @pytest.fixture(scope="module")
 def linear_model():
+    """(evidence, residuals, sizes) of five rods with frames."""
     comparison, scales = model(held(suture(2, frames=True).take([0, 1, 2, 4, 5]), 34), with_frames=True)
     values = comparison.unknowns.begun(TRUTH, np.array([2.0, 2.5]))
     state = Fit(comparison, values, Newton()).begin(values, scales)
@@ -33,13 +34,9 @@ def dense(evidence: Evidence, linear, scales):
     variance = np.array([scales[name] for name in effect_scales(evidence.unknowns)]) ** 2
     keep = np.abs(shared).max(axis=2) > 0
     # r + J x + Z z + ε = 0 with x about −offset: the observed part of −r.
-    rows = np.concatenate([j[k] for j, k in zip(shared, keep, strict=True)])
-    covariance, at = rows @ prior @ rows.T, 0
-    for z, k in zip(effects, keep, strict=True):
-        size = k.sum()
-        covariance[at : at + size, at : at + size] += z[k] @ np.diag(variance) @ z[k].T + np.diag(noise[k])
-        at += size
-    return -np.concatenate([r[k] for r, k in zip(values, keep, strict=True)]), rows @ -evidence.offset, covariance
+    rows = shared[keep]
+    own = [z[k] * variance @ z[k].T + np.diag(noise[k]) for z, k in zip(effects, keep, strict=True)]
+    return -values[keep], rows @ -evidence.offset, rows @ prior @ rows.T + block_diag(*own)
 
 
 def logarithm(evidence: Evidence, linear, scales) -> float:
@@ -75,6 +72,7 @@ def test_its_gradient_and_that_the_best_sizes_leave_no_slope(linear_model):
 
 
 def without(linear, d: int):
+    """The residuals of all observations but ``d``."""
     return tuple(replace(kind, **{name: np.delete(getattr(kind, name), d, axis=0)
                                   for name in ("values", "shared", "effects", "count")}) for kind in linear)
 
@@ -92,20 +90,6 @@ def test_held_directions_stay(linear_model):
     found = evidence.holding(direction, 0.3).posterior(scales)
     assert direction @ found.step == pytest.approx(0.3)
     assert direction @ found.covariance @ direction == pytest.approx(0, abs=1e-12)
-
-
-@pytest.mark.thorough
-def test_left_out_is_the_decrease_of_the_evidence(linear_model):
-    """ln p(one | others) = ln p(all) − ln p(others), both by dense algebra."""
-    evidence, linear, scales = linear_model
-    linear = counted_by_rows(linear)
-    evidence = Evidence.of(evidence.unknowns, linear, evidence.offset)
-    own = evidence.left_out(linear, scales)
-    seen, mean, spread = dense(evidence, linear, scales)
-    every = multivariate_normal(mean, spread, allow_singular=True).logpdf(seen)
-    for d in range(len(own)):
-        rest = dense(evidence, without(linear, d), scales)
-        assert own[d] == pytest.approx(every - multivariate_normal(*rest[1:], allow_singular=True).logpdf(rest[0]), rel=1e-5)
 
 
 @pytest.mark.parametrize("bounds", [(np.full(3, -np.inf), np.full(3, np.inf)), (np.full(3, -2.0), np.array([0.8, 2.0, 2.0]))])

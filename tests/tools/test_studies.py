@@ -11,8 +11,9 @@ from importlib import import_module
 import numpy as np
 import pytest
 
-from doo_ti import InputError, Material, load_observations
+from doo_ti import Material, load_observations
 from doo_ti.commands.help_text import EXAMPLES
+from tests.conftest import check_refused
 from tests.perception.test_twist import MATERIAL, TWIST
 from tests.processes import ROOT
 from tests.references.rods import at_rest, bows, observed
