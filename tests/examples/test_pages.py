@@ -1,4 +1,5 @@
-"""README and docs: links lead somewhere, commands have the options that pages give them, examples run as written."""
+"""README and docs: links lead somewhere, commands have the options that pages give them, README's blocks run as written; so do
+the examples of docs/reading_runs.md, on a small run."""
 
 import importlib.util
 import json
@@ -10,6 +11,7 @@ import sys
 from contextlib import chdir, redirect_stdout
 from functools import cache
 from io import StringIO
+from pathlib import Path
 
 import numpy as np
 import pyarrow.parquet
@@ -20,8 +22,8 @@ from doo_ti import Status, sweep
 from doo_ti.commands.cli import main
 from doo_ti.learning.chunks import maker
 from tests.learning.lab import DYNAMIC, GRID, small_lab
-from tests.processes import ROOT
 
+ROOT = Path(__file__).resolve().parents[2]
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
 BLOCK = re.compile(r"^```(\w+)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 
@@ -36,13 +38,10 @@ def test_links_lead_somewhere(page):
 
 def commands() -> list[tuple[str, list[str]]]:
     """(page, words) of every line of a page that begins with ``doo-ti``, without comments."""
-    found = []
-    for page in PAGES:
-        for line in page.read_text(encoding="utf-8").replace("\\\n", " ").splitlines():
-            text = line.strip().removeprefix("$ ")
-            if text.startswith("doo-ti ") and "…" not in text:
-                found.append((page.name, shlex.split(text, comments=True)[1:]))
-    return found
+    lines = ((page.name, line.strip().removeprefix("$ ")) for page in PAGES
+             for line in page.read_text(encoding="utf-8").replace("\\\n", " ").splitlines())
+    return [(page, shlex.split(text, comments=True)[1:]) for page, text in lines
+            if text.startswith("doo-ti ") and "…" not in text]
 
 
 @cache
@@ -66,19 +65,14 @@ def test_the_reference_has_every_public_name():
     assert sorted(listed) == sorted(doo_ti.__all__)
 
 
-@pytest.fixture
-def clone(tmp_path):
-    for name in ("scenes", "docs"):
-        (tmp_path / name).symlink_to(ROOT / name)
-    return tmp_path
-
-
 @pytest.mark.thorough
 @pytest.mark.filterwarnings("ignore")
-def test_readme_runs_as_written(clone, capfd):
-    """Its commands in order, without the installation, then its Python."""
+def test_readme_runs_as_written(tmp_path, capfd):
+    """Its commands in order, without the installation, then its Python, in a folder with what they use of a fresh clone."""
     blocks, ran = BLOCK.findall((ROOT / "README.md").read_text(encoding="utf-8")), 0
-    with chdir(clone):
+    for name in ("scenes", "docs"):
+        (tmp_path / name).symlink_to(ROOT / name)
+    with chdir(tmp_path):
         for language, text in blocks:
             if language == "python":
                 exec(compile(text, "README.md", "exec"), {})
@@ -125,7 +119,8 @@ def folder(tmp_path_factory):
     return folder
 
 
-def printed(folder, word: str, monkeypatch, capsys) -> str:
+def printed(folder, word: str) -> str:
+    """What the example prints whose heading has that word."""
     example, = (text for heading, text in EXAMPLES.items() if word in heading)
     shown = StringIO()
     with chdir(folder), redirect_stdout(shown):
