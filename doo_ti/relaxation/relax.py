@@ -307,7 +307,8 @@ def mesh_change(rods: Configuration, material: Material, clamps: Clamps, up: Arr
     first, last = held[0] * rods.rest_length[0] / 4, held[1] * rods.rest_length[-1] / 4
     finer = replace(clamps, start_position=clamps.start_position + first * clamps.start_frame[..., 0],
                     end_position=clamps.end_position - last * clamps.end_frame[..., 0])
-    solution = relax(with_half_edges(rods, held), _of_half_edges(material, held), finer, Newton.careful(), up=up,
+    solver = None if surroundings else Newton.careful()  # without one relax allows more iterations among obstacles
+    solution = relax(with_half_edges(rods, held), _of_half_edges(material, held), finer, solver, up=up,
                      **surroundings.arguments)
     change = vertices_before_halving(solution.configuration, rods.rest_length, held) - rods.vertices
     return np.where((solution.converged & solution.stable)[:, None, None], 4 / 3 * change, np.nan)
