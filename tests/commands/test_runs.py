@@ -150,7 +150,7 @@ def test_a_ribbon_under_both_objectives_and_its_regimes(lab, tmp_path, capsys):
     stems = ["regimes_ribbon_dynamic", "regimes_ribbon_static"]
     assert names(tmp_path) == ["cells.rrd", "landscapes.png", *(f"{stem}{end}" for stem in stems for end in (".png", ".rrd"))]
     assert summary["runs"] == ["ribbon, static", "ribbon, dynamic"] and summary["recorded_cells"] == 16
-    assert [file["path"] for file in summary["files"]][:2] == ["landscapes.png", "cells.rrd"]
+    assert [Path(file["path"]).name for file in summary["files"]][:2] == ["landscapes.png", "cells.rrd"]
     static, moving = read(tmp_path / "cells.rrd")
     dynamic, rods = read_landscape(lab / "dynamic"), moving["/world/ribbon__dynamic/rods"]["cell"]
     np.testing.assert_allclose(rods["distance_mm"], dynamic.distance, rtol=1e-6)
