@@ -75,6 +75,7 @@ def run_calibrate(options: Namespace) -> int:
 FAR_OFF, LEAST_OFF_PX = 3.0, 0.2  # error of an image over the median of all, and px, from which on it is doubtful
 APART, LEAST_APART_PX = 1.5, 0.1  # error of all cameras together over that of each alone, and px, from which on they disagree
 LEAST_APART_MM = 0.1  # between two cameras
+COVERED = 0.5  # share of an image that corners cover, below which its lens is guessed towards the border
 SQUARE = 5e-3  # share by which the pixels of cameras differ from squares, at most
 
 
@@ -89,6 +90,10 @@ def _doubt_calibration(views: Views, calibration: Calibration) -> None:
     if calibration.overall_rms > max(APART * alone, LEAST_APART_PX):
         warn(f"{in_line(views.source)}: corners are {calibration.overall_rms:.2g} px off, of a camera alone {alone:.2g} px: "
              "the board moved between cameras, is stretched, or an image is of another view")
+    for name, covered in zip(views.cameras, calibration.covered, strict=True):
+        if covered < COVERED:
+            warn(f"{in_line(views.source)}: {in_line(name)}: the boards cover {100 * covered:.0f} % of its images, "
+                 "outside its lens may be pixels off: add views near the border")
     centres = np.array([camera.centre for camera in calibration.rig.cameras])
     for one, other in zip(*np.triu_indices(len(centres), 1), strict=True):
         apart, sigma = np.linalg.norm(centres[one] - centres[other]), np.linalg.norm(calibration.centre_sigma[[one, other]])
@@ -109,10 +114,12 @@ def _calibration_summary(views: Views, calibration: Calibration, out: Path) -> d
         "name": camera.name, "width": camera.width, "height": camera.height, "focal_px": camera.matrix[[0, 1], [0, 1]],
         "focal_sigma_px": calibration.focal_sigma[index], "principal_point_px": camera.matrix[:2, 2],
         "distortion": camera.distortion, "centre_mm": camera.centre, "centre_sigma_mm": calibration.centre_sigma[index],
+        "covered": calibration.covered[index],
         "rms_px": np.sqrt(np.nansum(calibration.rms[:, index] ** 2 * corners[:, index]) / corners[:, index].sum()),
     } for index, camera in enumerate(calibration.rig.cameras)]
     images = [{"view": views.names[view], "camera": views.cameras[camera], "corners": corners[view, camera],
-               "rms_px": calibration.rms[view, camera]} for view, camera in sorted(views.images)]
+               "left_out": calibration.left_out[view, camera], "rms_px": calibration.rms[view, camera]}
+              for view, camera in sorted(views.images)]
     return {
         "views": len(views.names), "rms_px": calibration.overall_rms, "corner_sigma_px": calibration.sigma_px,
         "cameras": cameras,
@@ -141,7 +148,10 @@ def _calibration_lines(views: Views, calibration: Calibration, summary: dict) ->
         (x, y, z), off = camera["centre_mm"], np.linalg.norm(camera["centre_sigma_mm"])
         across, down = camera["focal_px"]
         lines.append(f"  {camera['name']}: centre {x:.2f}, {y:.2f}, {z:.2f} mm ± {off:.3f}; focal length {across:.1f}, "
-                     f"{down:.1f} px ± {camera['focal_sigma_px'].max():.2f}")
+                     f"{down:.1f} px ± {camera['focal_sigma_px'].max():.2f}; "
+                     f"boards cover {100 * camera['covered']:.0f} %")
+    lines += [f"left out: {counted(image['left_out'], 'corner')} of view {image['view']} of {image['camera']}, far off beside "
+              "the others" for image in summary["images"] if image["left_out"]]
     if summary["without_board"]:
         lines.append(f"no board found in {len(summary['without_board'])} of {len(summary['images'])} images")
     if summary["orientation"]:

@@ -28,6 +28,7 @@ TILT = "add views, the board tilted in several ways"
 POSE = 6
 MOST_STEPS = 100
 LITTLE = 1e-10  # done when a step lowers the sum of squares by less than this share
+WRONG, LEAST_WRONG_PX = 10.0, 1.0  # error of a corner over the median of its image, and px, from which on it is another one's
 SINGULAR = 1e-13  # smallest eigenvalue of the normal matrix, its diagonal scaled to ones, that still determines all unknowns
 
 
@@ -86,6 +87,8 @@ class Calibration:
     centre_sigma: np.ndarray  # (C, 3) mm: standard deviation of the camera centres along the world's axes
     focal_sigma: np.ndarray  # (C, 2) px: of fx and fy
     alone: np.ndarray  # (C,) px: root mean square distance of a camera's corners where it is calibrated by itself
+    left_out: np.ndarray  # (V, C) number of corners that were far off, among others of their image that were not
+    covered: np.ndarray  # (C,) share of a camera's image that the convex hull of its corners covers
 
     @property
     def worst(self) -> tuple[int, int]:
@@ -102,6 +105,8 @@ def calibrate(points: np.ndarray, sightings: list[Sighting], sizes: dict[str, tu
                 corner, x along a row, y up the page, z out of the board; or ``camera``, those of the first camera
     distortion  of COEFFICIENTS, how many of k1, k2, p1, p2, k3 are fitted, the others being 0. The fifth helps for wide lenses
                 whose images show corners up to the border; otherwise it only adds noise
+
+    Single corners that are far off, because another one was taken for them, are left out.
 
     Raises InputError, naming ``source``, for a camera with fewer than three views of the board or without a view shared with
     the others, for a first view without board if that defines the world, and for views that do not determine the cameras.
@@ -128,10 +133,21 @@ def calibrate(points: np.ndarray, sightings: list[Sighting], sizes: dict[str, tu
         raise InputError(source, "views", "the cameras do not agree about the board", "give images of one moment in each row, "
                          "none mirrored or turned (--orientation)") from None
     calibration = _calibration(bundle, covariance, points, sightings, free, alone, source)
+    kept = [_without_wrong_corners(bundle, points, sighting) for sighting in sightings]
+    if any(len(some.found) < len(every.found) for some, every in zip(kept, sightings)):
+        again = calibrate(points, kept, sizes, views, world, distortion, source)
+        return replace(again, left_out=calibration.corners - again.corners)
     for camera, sigma in zip(calibration.rig.cameras, calibration.focal_sigma[:, 0]):
         if not sigma < VAGUE * camera.matrix[0, 0]:
             raise InputError(source, camera.name, f"its focal length would be {camera.matrix[0, 0]:.0f} px ± {sigma:.0f}", TILT)
     return calibration
+
+
+def _without_wrong_corners(bundle: Bundle, points: np.ndarray, sighting: Sighting) -> Sighting:
+    """``sighting`` without corners that another corner or marker was taken for: far off beside the others of their image."""
+    off = np.linalg.norm(bundle.residual(points, sighting), axis=-1)
+    kept = off < max(WRONG * np.median(off), LEAST_WRONG_PX)
+    return replace(sighting, found=sighting.found[kept], pixels=sighting.pixels[kept])
 
 
 def _check(sightings: list[Sighting], names: tuple[str, ...], world: str, source: str) -> None:
@@ -222,10 +238,12 @@ def _rms(camera: Camera, points: np.ndarray, sighting: Sighting, rotation: np.nd
 def _calibration(bundle: Bundle, covariance: np.ndarray, points, sightings, free, alone: np.ndarray, source: str
                  ) -> Calibration:
     """The adjusted bundle and its covariance as a rig with its errors."""
+    import cv2
+
     shape = len(bundle.rotations), len(bundle.cameras)
     lenses, of_cameras, _ = places(shape[1], shape[0])
     rms, corners = np.full(shape, np.nan), np.zeros(shape, dtype=np.int64)
-    squares = 0.0
+    squares, covered = 0.0, np.empty(shape[1])
     for sighting in sightings:
         square = np.sum(bundle.residual(points, sighting) ** 2)
         corners[sighting.view, sighting.camera] = len(sighting.found)
@@ -239,8 +257,11 @@ def _calibration(bundle: Bundle, covariance: np.ndarray, points, sightings, free
         pose = covariance[np.ix_(of_cameras[index], of_cameras[index])]
         centre_sigma[index] = sigma * np.sqrt(np.diag(by_pose @ pose @ by_pose.T))
         focal_sigma[index] = sigma * np.sqrt(np.diag(covariance)[lenses[index, :2]])
+        seen = np.concatenate([sighting.pixels for sighting in sightings if sighting.camera == index])
+        covered[index] = cv2.contourArea(cv2.convexHull(seen.astype(np.float32))) / (camera.width * camera.height)
     return Calibration(Rig(bundle.cameras, source), bundle.rotations, bundle.translations, rms, corners,
-                       float(np.sqrt(squares / corners.sum())), float(sigma), centre_sigma, focal_sigma, alone)
+                       float(np.sqrt(squares / corners.sum())), float(sigma), centre_sigma, focal_sigma, alone,
+                       np.zeros_like(corners), covered)
 
 
 # --- bundle adjustment -----------------------------------------------------------------------------------------------------

@@ -51,7 +51,7 @@ def test_a_rig_from_images(pictures, tmp_path, capsys):
         assert np.linalg.norm(camera.centre - truth.centre - middle) < 0.5
     summary = json.loads(succeeded(capsys, f"{argv} --json"))
     assert out.read_bytes() == content and summary["rms_px"] < 0.3 and len(summary["images"]) == 11
-    assert summary["without_board"] == [{"view": "view3", "camera": "cam0", "corners": 0, "rms_px": None}]
+    assert summary["without_board"] == [{"view": "view3", "camera": "cam0", "corners": 0, "left_out": 0, "rms_px": None}]
     assert summary["worst"]["rms_px"] == max(image["rms_px"] or 0 for image in summary["images"])
     cameras = json.loads(succeeded(capsys, f"{argv} --json --world camera --distortion 2"))["cameras"]
     assert cameras[0]["centre_mm"] == [0, 0, 0] and cameras[0]["centre_sigma_mm"] == [0, 0, 0]

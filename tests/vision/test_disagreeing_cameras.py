@@ -40,11 +40,23 @@ def test_cameras_at_one_place_and_images_that_fit_far_worse_are_doubted(capsys):
     rig = SimpleNamespace(cameras=(RIG.cameras[0],) * 2)
     rms = np.array([[0.1, 0.12], [0.1, 0.9], [0.11, np.nan]])
     twice = SimpleNamespace(rig=rig, rms=rms, focal_sigma=np.ones((2, 2)), alone=np.full(2, 0.1), overall_rms=0.1,
-                            centre_sigma=np.full((2, 3), 0.1))
+                            centre_sigma=np.full((2, 3), 0.1), covered=np.array([0.7, 0.3]))
     cameras._doubt_calibration(Views(tuple("abc"), ("left", "right"), {}, "views.csv"), twice)
     said = capsys.readouterr().err
     assert "left and right are 0 mm apart: are their images the same?" in said
+    assert "right: the boards cover 30 % of its images" in said and "left: the boards" not in said
     assert "view b: 0.9 px off, the median image 0.11" in said and said.count("view ") == 1
+
+
+def test_a_wrong_corner_is_left_out_and_counted(rng):
+    """As a marker of a ChArUco board read wrongly gives it: with it the cameras come out 2 mm off."""
+    right = seen(rng, 9, 0.0)
+    wrong = [Sighting(one.view, one.camera, one.found, one.pixels.copy()) for one in right]
+    wrong[5].pixels[20] += [40.0, -25.0]
+    found, known = (calibrate(BOARD.points, sightings, SIZES, 9) for sightings in (wrong, right))
+    assert found.left_out[1, 2] == found.left_out.sum() == 1 and not known.left_out.any()
+    for one, other in zip(found.rig.cameras, known.rig.cameras, strict=True):
+        np.testing.assert_allclose(one.centre, other.centre, atol=0.2)
 
 
 def test_rays_that_meet_nowhere_end_in_a_status():
