@@ -2,6 +2,7 @@
 
 import hashlib
 from argparse import Namespace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +18,7 @@ from doo_ti.report.contact import Touched
 from doo_ti.report.motions import MovingRods, motions_picture
 from doo_ti.rod.frames import matrix_from_quaternion
 from doo_ti.rod.material import STANDARD_GRAVITY
-from doo_ti.rod.types import Clamp, Status
+from doo_ti.rod.types import Clamp, Configuration, Status
 from doo_ti.system.arguments import counted
 from doo_ti.system.errors import InputError
 from doo_ti.system.terminal import in_line, progress
@@ -27,6 +28,7 @@ DEGREES = given.number("a number of degrees from 0.001 to 30", lambda degrees: 1
 """Of a sub-step: rods that are carried further at once may leave their branch; smaller steps make no difference."""
 MOST_STEPS = 1000  # with friction, from one state to the next
 MOST_BYTES = 8 << 30  # of frames: predictions are held in memory
+MESHES = 200  # states, of all rods and moments, whose mesh error is computed
 NOTABLE, APART = 0.1, 0.1  # of gravity: accelerations that are said; s between the places that they are from, noise apart
 
 
@@ -81,6 +83,8 @@ def run(options: Namespace) -> int:
     result = _arrays(rods, prediction)
     results.save_arrays(out, result, ("moment", "rod"))
     summary = _summary(rods, prediction, result, out)
+    if stepping is None:
+        summary |= _mesh_summary(rods, prediction)
     lines = _lines(rods, stepping, prediction, result, summary)
     if options.picture or options.recording:
         _draw(rods, prediction, result, options.picture, options.recording, lines)
@@ -141,6 +145,23 @@ def _arrays(rods: HeldRods, prediction) -> dict[str, np.ndarray]:
     }, rods.newtons, 1)
 
 
+def _mesh_summary(rods: HeldRods, prediction) -> dict:
+    """:func:`doo_ti.commands.results.mesh_summary` of all states that were followed, or of as many evenly from the first to the
+    last."""
+    moment, rod = np.nonzero(prediction.followed)
+    if not len(rod):
+        return {}
+    some = np.linspace(0, len(rod) - 1, min(len(rod), MESHES)).round().astype(np.int64)
+    moment, rod = moment[some], rod[some]
+    motion = prediction.motion[rod]
+    states = Configuration(prediction.start[moment, rod], prediction.quaternions[moment, rod], prediction.rest_length)
+    places, frames = states.vertices, states.frames
+    held = replace(rods.clamps.take(motion), start_position=places[:, 0], start_frame=frames[:, 0],
+                   end_position=places[:, -1], end_frame=frames[:, -1])
+    return results.mesh_summary(states, rods.material.take(prediction.material[rod]), held, rods.up,
+                                rods.surroundings.at(0).take(motion))
+
+
 def _lines(rods: HeldRods, stepping, prediction, result: dict, summary: dict) -> list[str]:
     """The result as lines of text."""
     count, moments, falls = summary["rods"], summary["moments"], summary["falls"]
@@ -160,8 +181,8 @@ def _lines(rods: HeldRods, stepping, prediction, result: dict, summary: dict) ->
     return [
         f"{rods.name}: {counted(count, 'rod')} of {summary['edges']} edges at {moments} moments",
         *results.rows(
-            ("status", f"{results.status_text(summary['status'])}; {how}"), results.contact_row(summary, count),
-            ("infeasible", inside), *results.force_rows(result, 1),
+            ("status", f"{results.status_text(summary['status'])}; {how}"), *results.mesh_rows(summary),
+            results.contact_row(summary, count), ("infeasible", inside), *results.force_rows(result, 1),
             ("inertia", (swift := _acceleration(prediction)) > NOTABLE and f"left out; rods accelerate by up to {swift:.2g} "
                         "of gravity: simulate has it"),
             ("far clamp", f"at the end turned about the rod by {_range(summary['end_rotation_deg'])}, total twist "

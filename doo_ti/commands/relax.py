@@ -44,7 +44,6 @@ def run_relax(options: Namespace) -> int:
     doubts.warn(observations, surroundings, **loading.stated(options))
 
     from doo_ti.learning.experiment import SOLVERS
-    from doo_ti.relaxation.relax import mesh_change
     from doo_ti.relaxation.relax import relax as relax_rods
     from doo_ti.rod.metric import distance
 
@@ -77,11 +76,9 @@ def run_relax(options: Namespace) -> int:
     inside = results.inside_reason(surroundings.take(infeasible), *(one.take(infeasible) for one in (held, start)),
                                    index[infeasible])
     sound = best[(solution.converged & solution.stable)[best]]
-    change = mesh_change(relaxed.take(sound), material, held.take(sound), observations.up, surroundings.take(sound))
-    mesh = np.sqrt(np.mean(np.sum(change**2, axis=-1), axis=1))
-    mesh = mesh[np.isfinite(mesh)] if np.isfinite(mesh).any() else np.full(1, np.nan)
-    summary = _summary(observations, grid, result, out) | contact | {
-        "infeasible_reason": inside, "median_mesh_error_mm": np.median(mesh), "largest_mesh_error_mm": mesh.max()}
+    mesh = results.mesh_summary(relaxed.take(sound), material, held.take(sound), observations.up, surroundings.take(sound))
+    summary = _summary(observations, grid, result, out) | contact | mesh | {
+        "infeasible_reason": inside}
     results.report(options, summary, lambda: _lines(observations, grid, result, summary))
     return 0 if (result["status"] == Status.CONVERGED).any() else 1
 
@@ -106,9 +103,7 @@ def _lines(observations: Observations, grid: Grid, result: dict, summary: dict) 
             ("distance", np.isfinite(summary["mean_distance_mm"]) and
              f"mean {summary['mean_distance_mm']:.4g} mm, largest {summary['largest_distance_mm']:.4g} mm at observation "
              f"{observations.labels[np.nanargmax(result['distance_mm'])]} (Eq. 1)"),
-            ("mesh error", np.isfinite(summary["largest_mesh_error_mm"]) and
-             f"rods of many edges rest about {summary['median_mesh_error_mm']:.2g} mm elsewhere (root mean square), at most "
-             f"{summary['largest_mesh_error_mm']:.2g} mm"),
-            results.contact_row(summary, observations.count), ("infeasible", summary["infeasible_reason"]),
+            *results.mesh_rows(summary), results.contact_row(summary, observations.count),
+            ("infeasible", summary["infeasible_reason"]),
             ("iterations", f"median {summary['median_iterations']:.0f}, most {int(result['iterations'].max())}")),
         f"  written to {in_line(summary['out'])}"]

@@ -13,7 +13,7 @@ from doo_ti.commands import options as given
 from doo_ti.contact.surroundings import Surroundings
 from doo_ti.io.observation_tables import write_rod_table
 from doo_ti.rod.grid import Grid, Interval
-from doo_ti.rod.types import Clamps, Configuration, Status
+from doo_ti.rod.types import Clamps, Configuration, Material, Status
 from doo_ti.system.errors import InputError
 from doo_ti.system.files import write_text, write_whole
 from doo_ti.system.terminal import in_line
@@ -177,6 +177,30 @@ def contact_row(summary: dict, rods: int) -> tuple[str, str | None]:
     gap = "" if np.isnan(found["smallest_gap_mm"]) else f"; smallest gap {found['smallest_gap_mm']:.2g} mm"
     at_end = f", {found['touching_at_end']} at the end" if "touching_at_end" in found else ""
     return "contact", f"{found['touching']} of {rods} rods touch an obstacle{at_end}{gap}; {found['infeasible']} infeasible"
+
+
+def mesh_summary(rods: Configuration, material: Material, clamps: Clamps, up: np.ndarray, surroundings: Surroundings) -> dict:
+    """What the summaries say of rods at rest, one kind of clamps for all: mm, root mean square along a rod, by which finer ones
+    rest elsewhere, and ones that clamps hold only by their end vertices; NaN where no such rod came to rest."""
+    from doo_ti.relaxation.relax import clamp_change, mesh_change
+
+    found = {}
+    for name, change in (("mesh_error", mesh_change), ("clamp_error", clamp_change)):
+        off = np.sqrt(np.mean(np.sum(change(rods, material, clamps, up, surroundings) ** 2, axis=-1), axis=1))
+        off = off[np.isfinite(off)] if np.isfinite(off).any() else np.full(1, np.nan)
+        found |= {f"median_{name}_mm": np.median(off), f"largest_{name}_mm": off.max()}
+    return found
+
+
+def mesh_rows(summary: dict) -> list[tuple[str, str | None]]:
+    """:func:`mesh_summary` as text, for :func:`rows`; nothing of what is unknown."""
+    return [(label, np.isfinite(summary.get(f"largest_{name}_mm", np.nan)) and
+             f"{text} {summary[f'median_{name}_mm']:.2g} mm elsewhere (root mean square), at most "
+             f"{summary[f'largest_{name}_mm']:.2g} mm{remedy}")
+            for label, name, text, remedy in (
+                ("mesh error", "mesh_error", "rods of many edges rest about", ""),
+                ("clamps", "clamp_error", "hold the outer edges, up to their middles; ended at the outer marks, rods rest about",
+                 " (convert --edges)"))]
 
 
 def run_lines(result: dict) -> list[str]:

@@ -24,7 +24,13 @@ from doo_ti.relaxation.input_tables import RATIOS, evened, tables, under
 from doo_ti.relaxation.newton import MOST_IN_CONTACT, Newton
 from doo_ti.relaxation.self_approach import approach_in_relaxation, stays_in_order
 from doo_ti.relaxation.tables import Tables, whole_start
-from doo_ti.rod.shapes import vertices_before_halving, with_half_edges
+from doo_ti.rod.shapes import (
+    material_of_end_edges,
+    material_of_half_edges,
+    vertices_before_halving,
+    with_end_edges,
+    with_half_edges,
+)
 from doo_ti.rod.types import Clamp, Clamps, Configuration, Material, Solution, Status, unit_up
 from doo_ti.system import runtime
 from doo_ti.system.arguments import typed
@@ -303,28 +309,30 @@ def mesh_change(rods: Configuration, material: Material, clamps: Clamps, up: Arr
     """(R, V, 3) mm by which rods of many edges rest elsewhere than ``rods``, of rest lengths (E,), at rest under ``clamps``, of
     one kind for all: 4/3 of what edges half as long change, since the error of a mesh falls as the square of its edges
     (Richardson). NaN for rods that do not come to certified rest then."""
-    held = np.min(clamps.start) >= Clamp.TANGENT, np.min(clamps.end) >= Clamp.TANGENT
+    held = _held_edges(clamps)
     first, last = held[0] * rods.rest_length[0] / 4, held[1] * rods.rest_length[-1] / 4
     finer = replace(clamps, start_position=clamps.start_position + first * clamps.start_frame[..., 0],
                     end_position=clamps.end_position - last * clamps.end_frame[..., 0])
+    found = _at_rest(with_half_edges(rods, held), material_of_half_edges(material, held), finer, up, surroundings)
+    return 4 / 3 * (vertices_before_halving(found, rods.rest_length, held) - rods.vertices)
+
+
+def clamp_change(rods: Configuration, material: Material, clamps: Clamps, up: ArrayLike, surroundings: Surroundings
+                 ) -> np.ndarray:
+    """(R, V, 3) mm by which ``rods``, as for :func:`mesh_change`, rest elsewhere where clamps that hold the outer edges, up to
+    their middles, end at the end vertices instead. NaN for rods that do not come to certified rest then."""
+    held = tuple(bool(one and length) for one, length in zip(_held_edges(clamps), rods.rest_length[[0, -1]], strict=True))
+    found = _at_rest(with_end_edges(rods, held), material_of_end_edges(material, held), clamps, up, surroundings)
+    return found.vertices[:, held[0] : rods.edges + 1 + held[0]] - rods.vertices
+
+
+def _at_rest(rods: Configuration, material: Material, clamps: Clamps, up: ArrayLike, surroundings: Surroundings
+             ) -> Configuration:
     solver = None if surroundings else Newton.careful()  # without one relax allows more iterations among obstacles
-    solution = relax(with_half_edges(rods, held), _of_half_edges(material, held), finer, solver, up=up,
-                     **surroundings.arguments)
-    change = vertices_before_halving(solution.configuration, rods.rest_length, held) - rods.vertices
-    return np.where((solution.converged & solution.stable)[:, None, None], 4 / 3 * change, np.nan)
+    solution = relax(rods, material, clamps, solver, up=up, **surroundings.arguments)
+    sound, found = solution.converged & solution.stable, solution.configuration
+    return replace(found, start=np.where(sound[:, None], found.start, np.nan))
 
 
-def _of_half_edges(material: Material, held: tuple[bool, bool]) -> Material:
-    """``material`` for rods :func:`.with_half_edges`, where it differs along them."""
-    more = int(not held[0]), int(not held[1])
-
-    def of_joints(values: np.ndarray | None) -> np.ndarray | None:
-        if values is None or values.shape[1] == 1:
-            return values
-        return np.pad(np.repeat(values, 2, axis=1), ((0, 0), more, *((0, 0),) * (values.ndim - 2)), mode="edge")
-
-    bend = material.bend
-    if bend.shape[1] > 1:
-        both = np.stack([bend, 0.5 * (bend + np.roll(bend, -1, axis=1))], axis=2).reshape(len(bend), -1, 2, 2)[:, :-1]
-        bend = np.pad(both, ((0, 0), more, (0, 0), (0, 0)), mode="edge")
-    return replace(material, bend=bend, twist=of_joints(material.twist), rest_curvature=of_joints(material.rest_curvature))
+def _held_edges(clamps: Clamps) -> tuple[bool, bool]:
+    return bool(np.min(clamps.start) >= Clamp.TANGENT), bool(np.min(clamps.end) >= Clamp.TANGENT)

@@ -29,7 +29,7 @@ from doo_ti.rod.frames import (
     unit_vectors,
 )
 from doo_ti.rod.material import doubt_length
-from doo_ti.rod.types import LARGEST, Clamp, Clamps, Configuration, unit_up
+from doo_ti.rod.types import LARGEST, Clamp, Clamps, Configuration, Material, unit_up
 from doo_ti.system.arguments import typed
 from doo_ti.system.errors import MOST_EDGES, InputError, real_array, require_whole
 
@@ -100,17 +100,18 @@ def end_clamps(configuration: Configuration, start: Clamp = Clamp.FRAME, end: Cl
     return Clamps(Clamp(start), Clamp(end), *(values.copy() for values in ends))
 
 
-def with_end_edges(rods: Configuration) -> Configuration:
-    """The rods with an edge of length zero at each end, in the direction of the curve there: the outer edge, turned on by half
-    the angle of the joint that it has with the next."""
+def with_end_edges(rods: Configuration, held: tuple[bool, bool] = (True, True)) -> Configuration:
+    """The rods with an edge of length zero at each end that is ``held``, in the direction of the curve there: the outer edge,
+    turned on by half the angle of the joint that it has with the next."""
     frames, lengths = rods.quaternions, rods.rest_length
     none = np.zeros_like(lengths[..., :1])
     outer, inner = frames[:, [0, -1]], frames[:, [1, -2]]
     turn = quaternion_product(outer, conjugate(inner))
     turn = np.where(turn[..., :1] < 0, -turn, turn) + np.array([1.0, 0.0, 0.0, 0.0])  # half of it, once it has length one
     ends = quaternion_product(unit_vectors(turn), outer)
-    return Configuration(rods.start, np.concatenate([ends[:, :1], frames, ends[:, 1:]], axis=1),
-                         np.concatenate([none, lengths, none], axis=-1))
+    kept = slice(1 - held[0], rods.edges + 1 + held[1])
+    return Configuration(rods.start, np.concatenate([ends[:, :1], frames, ends[:, 1:]], axis=1)[:, kept],
+                         np.concatenate([none, lengths, none], axis=-1)[..., kept])
 
 
 def with_half_edges(rods: Configuration, held: tuple[bool, bool] = (True, True)) -> Configuration:
@@ -137,6 +138,29 @@ def vertices_before_halving(fine: Configuration, lengths: np.ndarray, held: tupl
     start = x[:, :1] - lengths[0] / 4 * t[:, :1] if held[0] else fine.vertices[:, :1]
     end = x[:, -1:] + lengths[-1] / 4 * t[:, -1:] if held[1] else fine.vertices[:, -1:]
     return np.concatenate([start, inner, end], axis=1)
+
+
+def material_of_half_edges(material: Material, held: tuple[bool, bool]) -> Material:
+    """``material`` for rods :func:`with_half_edges`, where it differs along them."""
+    def halved(values: np.ndarray | None) -> np.ndarray | None:
+        return values if values is None or values.shape[1] == 1 else np.repeat(values, 2, axis=1)
+
+    bend = material.bend
+    if bend.shape[1] > 1:
+        bend = np.stack([bend, 0.5 * (bend + np.roll(bend, -1, axis=1))], axis=2).reshape(len(bend), -1, 2, 2)[:, :-1]
+    halves = replace(material, bend=bend, twist=halved(material.twist), rest_curvature=halved(material.rest_curvature))
+    return material_of_end_edges(halves, (not held[0], not held[1]))
+
+
+def material_of_end_edges(material: Material, held: tuple[bool, bool]) -> Material:
+    """``material`` for rods :func:`with_end_edges`, where it differs along them: there as next to them."""
+    def padded(values: np.ndarray | None) -> np.ndarray | None:
+        if values is None or values.shape[1] == 1:
+            return values
+        return np.pad(values, ((0, 0), tuple(map(int, held)), *((0, 0),) * (values.ndim - 2)), mode="edge")
+
+    return replace(material, bend=padded(material.bend), twist=padded(material.twist),
+                   rest_curvature=padded(material.rest_curvature))
 
 
 def material_curvature(rods: Configuration) -> np.ndarray:

@@ -47,6 +47,15 @@ def test_840_degrees_are_reported_as_840_degrees(folder, capsys):
     assert found["vertices_mm"].shape == (5, 2, 21, 3) and found["jumps"].shape == found["energy"].shape == (5, 2)
 
 
+def test_the_mesh_error_is_that_of_relax(folder, capsys):
+    """Of a motion that stays where it begins."""
+    np.savez("still.npz", end_position_mm=np.zeros((2, 3)), time_s=[0.0, 1.0])
+    moved, still = (json.loads(succeeded(capsys, f"{line} --json")) for line in (
+        words("seen.npz", "still.npz", "--relative"), f"relax seen.npz {MATERIAL} --out r.npz"))
+    for name in ("median_mesh_error_mm", "largest_mesh_error_mm", "median_clamp_error_mm", "largest_clamp_error_mm"):
+        assert 0.01 < moved[name] == pytest.approx(still[name], rel=1e-2)
+
+
 def log_of(poses, turn: np.ndarray, scale: float) -> str:
     """A robot's log of both grippers: metres, quaternions of tools whose z axes point along the rod, other columns."""
     names = ["stamp", "joint_1"]
