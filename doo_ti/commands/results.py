@@ -199,7 +199,7 @@ def mesh_rows(summary: dict) -> list[tuple[str, str | None]]:
              f"{summary[f'largest_{name}_mm']:.2g} mm{remedy}")
             for label, name, text, remedy in (
                 ("mesh error", "mesh_error", "rods of many edges rest about", ""),
-                ("clamps", "clamp_error", "hold the outer edges, up to their middles; ended at the outer marks, rods rest about",
+                ("clamps", "clamp_error", "hold the outer edges to their middles; ended at the outer marks, rods rest about",
                  " (convert --edges)"))]
 
 

@@ -34,6 +34,7 @@ from doo_ti.system.terminal import busy, in_line, progress
 CLAMPS = ("clamp_start", "clamp_end")
 MOST_LISTED = 8
 ENERGY = "energy_{}"
+NOTABLE = 0.02  # share of the energy: what the time steps lose beyond it is said
 SPLIT = ("kinetic", "gravity", "bending", "twist", "dissipated", "work", "unaccounted", "sum")
 """Energies in pictures and recordings."""
 
@@ -241,6 +242,8 @@ def _results(found: _Simulated, out: Path) -> tuple[dict, dict]:
         if found.recorded is not None:
             gap[:, :2] = np.nan  # as recorded
         summary |= results.contact_summary(found.surroundings, found.contact["contact_force"], gap, found.status)
+    if found.energies:
+        summary["lost_energy"] = dict(zip(found.names, _lost_share(found.energies), strict=True))
     if found.step_error is not None:
         arrays["step_error_mm"] = found.step_error
         used, rods = np.unique(found.substeps, return_counts=True)
@@ -265,6 +268,7 @@ def _lines(found: _Simulated, summary: dict, arrays: dict) -> list[str]:
     first = found.status.argmax(axis=1)
     infeasible = found.contact and (found.status[np.arange(len(first)), first] == Status.INFEASIBLE).any()
     work, touch = (found.contact[name][:, -1] if found.contact else None for name in ("friction_work", "touch"))
+    lost = max(summary.get("lost_energy", {"": 0.0}).values())
     glitches = results.shortened(list(found.glitches), MOST_LISTED, "and {} more")
     return [
         f"{in_line(found.name)}: {counted(summary['rods'], 'rod')} of {summary['vertices'] - 1} edges, {duration:.3g} s at "
@@ -277,6 +281,8 @@ def _lines(found: _Simulated, summary: dict, arrays: dict) -> list[str]:
             ("friction", found.contact and
              f"takes {np.nanmin(work):.3g} to {np.nanmax(work):.3g} mm² in all; at the end {(touch == Touch.STICKS).sum()} "
              f"vertices stick, {(touch == Touch.SLIPS).sum()} slip"),
+            ("energy", lost > NOTABLE and f"the time steps lose up to {100 * lost:.0f} % of what a rod had, took or gave, as a "
+                       "damping does: --tolerance says what that is in mm"),
             ("time steps", error is not None and
              f"{steps} rods a frame; estimated error: median {np.median(error):.3g}, largest {error.max():.3g} mm, above the "
              f"tolerance in {summary['above_tolerance']} rods"),
@@ -285,6 +291,13 @@ def _lines(found: _Simulated, summary: dict, arrays: dict) -> list[str]:
              "|difference| over markers and coordinates, grippers' included)"),
             *(("glitch", in_line(line)) for line in glitches)),
         f"  written to {in_line(summary['out'])}"]
+
+
+def _lost_share(energies: dict[str, np.ndarray]) -> np.ndarray:
+    """(R,) the largest energy unaccounted for, mostly lost by the time steps, over the largest that a rod had, took or gave."""
+    each = [energies[name] for name in ("kinetic", "work", "dissipated")] + [energies["sum"] - energies["kinetic"]]
+    exchanged = np.max([np.nanmax(value, axis=1) - np.nanmin(value, axis=1) for value in each], axis=0)
+    return np.nanmax(np.abs(energies["unaccounted"]), axis=1) / np.maximum(exchanged, np.finfo(float).tiny)
 
 
 def _draw(found: _Simulated, picture: Path | None, recording: Path | None, animation: Path | None) -> None:
