@@ -12,7 +12,7 @@ loses its stability, or jumps, the search goes on without that leg.
 Axes: N nodes, M samples, T moments and states, R rods.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
@@ -26,7 +26,7 @@ from doo_ti.manipulation.equilibria import CLEAR, Clearance, Equilibria, Shapes,
 from doo_ti.manipulation.model import Model, change_between
 from doo_ti.manipulation.targets import ServoOptions, Targets, fitted_guesses, require_free
 from doo_ti.motion.predict import predict
-from doo_ti.relaxation.relax import mesh_change
+from doo_ti.relaxation.relax import clamp_change, mesh_change
 from doo_ti.rod.material import Material, doubt_marks
 from doo_ti.rod.types import POSES, Clamp, Clamps, Configuration, unit_up
 from doo_ti.system.arguments import owning, typed
@@ -79,11 +79,13 @@ class ManipulationPath(ClampPath):
     reached     whether that is within ``reached_mm``
     mesh_error  mm by which a rod of many edges ends elsewhere, about, by one whose edges are half as long; infinite where that
                 one does not come to rest there
+    clamp_error  mm by which one ends elsewhere whose clamps end at its end vertices, not amid its outer edges; or infinite
     """
 
     distance: float = np.inf
     reached: bool = False
     mesh_error: float = np.nan
+    clamp_error: float = np.nan
 
 
 @typed
@@ -262,15 +264,18 @@ class _Planner:
                 break
         distance = float(self._targets.distance(rods.vertices)[0])
         rows = np.arange(reached + 1) if reached else [0, 0]
-        error = self._mesh_error(rods, clamps.take([reached]), bool(states.touching[reached]))
-        return ManipulationPath(time[: len(rows)], source="plan", distance=distance, mesh_error=error, **{
-            name: values[rows] for name, values in arrays.items()}, reached=distance <= self._options.reached_mm), reached + 1
+        held, touches = clamps.take([reached]), bool(states.touching[reached])
+        mesh, clamp = (self._error(change, rods, held, touches) for change in (mesh_change, clamp_change))
+        arrays = {name: values[rows] for name, values in arrays.items()}
+        return ManipulationPath(
+            time[: len(rows)], source="plan", distance=distance, mesh_error=mesh, clamp_error=clamp, **arrays,
+            reached=distance <= self._options.reached_mm), reached + 1
 
-    def _mesh_error(self, rod: Configuration, clamps: Clamps, touches: bool) -> float:
-        """:attr:`.ManipulationPath.mesh_error`."""
+    def _error(self, change: Callable, rod: Configuration, clamps: Clamps, touches: bool) -> float:
+        """mm, weighted root mean square, by which ``change`` has a rod rest elsewhere; infinite where it says nothing."""
         around = self._space.clearance.surroundings if touches else Surroundings()
-        change = mesh_change(rod, self._space.material, clamps, self._space.up, around)[0]
-        error = np.sqrt(self._targets.shares[0] @ np.sum(change**2, axis=-1))
+        found = change(rod, self._space.material, clamps, self._space.up, around)[0]
+        error = np.sqrt(self._targets.shares[0] @ np.sum(found**2, axis=-1))
         return float(error) if np.isfinite(error) else np.inf
 
     def _clear(self, vertices: np.ndarray) -> np.ndarray:

@@ -94,3 +94,9 @@ def test_the_mesh_error_of_a_plan_is_how_far_a_finer_rod_ends_from_it(hung, shif
     at = CubicSpline(edge * 3 / 8 + edge / 4 * np.arange(finest.edges + 1), finest.vertices[0])(edge * np.arange(1, EDGES))
     apart = np.sqrt(np.sum((at - goal.vertices[0, 1:-1]) ** 2) / (EDGES + 1))
     assert path.reached and path.mesh_error == pytest.approx(apart, rel=0.25) and path.mesh_error > 0.02
+    fine = d.rod_along(goal.vertices[0], 4 * EDGES, vertex_clamps=True)
+    held = replace(ends, **{name: getattr(d.end_clamps(goal, d.Clamp.FRAME, d.Clamp.FRAME), name) for name in (
+        "start_position", "start_frame", "end_position", "end_frame")})
+    bent = d.relax(fine, THETA, held).configuration.vertices[0, 1:-1:4]
+    apart = np.sqrt(np.mean(np.sum((bent - goal.vertices[0]) ** 2, axis=-1)))
+    assert path.clamp_error == pytest.approx(apart, rel=0.25)
