@@ -32,7 +32,6 @@ def a_rope(weight: float, clamp: Clamp = Clamp.POSITION):
 
 
 def moved(rope, material, grippers: Grippers, obstacle, stepping: Stepping = QUASI_STATIC):
-    """The motion of rods of that radius beside one obstacle."""
     return simulate(rope, material, grippers, DYNAMICS, stepping, obstacles=[obstacle], radius=RADIUS)
 
 
