@@ -17,13 +17,6 @@ RADIUS, STIFFNESS = 1.0, 1e5
 WEIGHTLESS, TABLE = Material(STIFFNESS, STIFFNESS, 0.0), Plane((0, 0, 0), (0, 0, 1))
 
 
-def pressed(depth: float, radii: tuple[float, float]):
-    """Two cantilevers that cross, the upper one held so low that together they have to give way by ``depth``."""
-    lower = straight_rod(100.0, 20, (0.0, 0.0, 0.0), (1.0, 0.0, 0.0))
-    upper = straight_rod(80.0, 16, (72.5, -62.5, sum(radii) - depth), (0.0, 1.0, 0.0))
-    return [lower, upper], [end_clamps(rod, Clamp.FRAME, Clamp.FREE) for rod in (lower, upper)]
-
-
 def compliance(length: float, reach: float) -> float:
     """Deflection over a force across a cantilever of edges of that ``length``, at ``reach`` from its clamp: every vertex before
     is a hinge of stiffness B over the length."""
@@ -33,9 +26,11 @@ def compliance(length: float, reach: float) -> float:
 
 @pytest.mark.parametrize("radii", [(RADIUS, RADIUS), (2.5 * RADIUS, RADIUS), (RADIUS, 4.0 * RADIUS)])
 def test_crossed_rods_press_against_each_other(radii):
+    """Cantilevers, the upper one held so low that together they have to give way by ``depth``."""
     depth = 0.3
-    rods, clamps = pressed(depth, radii)
-    solution = certified(relax_group(Group(rods, WEIGHTLESS, clamps), radius=[radii]))
+    rods = [straight_rod(100.0, 20), straight_rod(80.0, 16, (72.5, -62.5, sum(radii) - depth), (0.0, 1.0, 0.0))]
+    group = Group(rods, WEIGHTLESS, [end_clamps(rod, Clamp.FRAME, Clamp.FREE) for rod in rods])
+    solution = certified(relax_group(group, radius=[radii]))
     assert abs(solution.gap[0]) < 1e-3 * RADIUS
     energy = sum(sum(chain_energy(rod_of(one, WEIGHTLESS), one.start[0], one.quaternions[0])) for one in solution.rods)
     assert solution.energy[0] == pytest.approx(energy, rel=1e-10)
@@ -43,7 +38,7 @@ def test_crossed_rods_press_against_each_other(radii):
     assert np.abs(force.sum(axis=0)).max() < 1e-9 * np.abs(force).max()
     assert force[1, 2] == pytest.approx(depth / (compliance(5.0, 72.5) + compliance(5.0, 62.5)), rel=3e-3)
     assert np.allclose(solution.start_force[0], -force, atol=1e-9)
-    through = relax_group(Group(rods, WEIGHTLESS, clamps), radius=[radii], contact=False)
+    through = relax_group(group, radius=[radii], contact=False)
     assert through.gap[0] == np.inf and np.abs(through.rods[0].vertices - rods[0].vertices).max() < 1e-9
 
 
@@ -63,15 +58,6 @@ def test_rods_lie_as_high_as_they_are_thick():
     assert solution.group.take([0]).radii(radii[:1]).tolist() == [[1.0, 4.0, 2.0]]
 
 
-def hooked():
-    """Two loops, each held at both ends, one through the other."""
-    angle = np.linspace(0.0, np.pi, 200)
-    across, along = 15.0 * np.cos(angle), 25.0 * np.sin(angle)
-    flat = rod_along(np.stack([along - 19.0, across, 0.0 * angle], axis=-1), 33)
-    upright = rod_along(np.stack([19.0 - along, 0.0 * angle, across], axis=-1), 33)
-    return [flat, upright], [end_clamps(rod, Clamp.FRAME, Clamp.FRAME) for rod in (flat, upright)]
-
-
 def linked(rods) -> float:
     """The linking number of two hooked loops, each closed by the line between its ends."""
     return linking(*(rod.vertices[0] for rod in rods))
@@ -87,7 +73,11 @@ def drawn_apart(clamps, shift: float):
 @pytest.mark.thorough
 def test_hooked_loops_stay_hooked():
     """They are drawn apart until they hang in each other, in small steps and in one, and further than they reach."""
-    rods, clamps = hooked()
+    angle = np.linspace(0.0, np.pi, 200)
+    across, along = 15.0 * np.cos(angle), 25.0 * np.sin(angle)
+    rods = [rod_along(np.stack(trace, axis=-1), 33)
+            for trace in ((along - 19.0, across, 0.0 * angle), (19.0 - along, 0.0 * angle, across))]
+    clamps = [end_clamps(rod, Clamp.FRAME, Clamp.FRAME) for rod in rods]
     before = linked(rods)
     assert abs(abs(before) - 1.0) < 1e-9
     moments = list(follow_group(Group(rods, WEIGHTLESS, clamps), [drawn_apart(clamps, shift) for shift in (2.0, 4.0, 6.0, 7.0)],
