@@ -1,5 +1,4 @@
-"""Ropes that are held at one end and fall onto a floor, a slope or an obstacle: nothing else holds them in their place along
-it. Straight rods between clamps that need slack: how they are bowed among obstacles, and where they come to rest."""
+"""Ropes that are held at one end and fall onto obstacles, and straight rods between clamps that need slack."""
 
 from dataclasses import replace
 
@@ -90,25 +89,21 @@ def slack_rods(heights, spans, aside, length: float, edges: int, kind: Clamp) ->
 
 @pytest.mark.parametrize("kind", [Clamp.POSITION, Clamp.FRAME], ids=["hinged", "clamped"])
 def test_ropes_with_slack_come_to_rest_on_a_table(rng, kind):
-    """Ropes of 300 mm, a third to five sixths of that between their ends, from 5 to 60 mm above the table."""
     count = 48
     heights, spans, aside = rng.uniform(5, 60, count), rng.uniform(100, 250, count), rng.uniform(-50, 50, count)
     rods, clamps = slack_rods(heights, spans, aside, 300.0, 40, kind)
     bend = 10 ** rng.uniform(3, 5, count)
-    found = relax(rods, Material(bend, bend), clamps, obstacles=[TABLE], radius=2.0)
-    assert found.converged.all() and found.stable.all() and (found.contact.gap > -4e-4).all()
-    assert found.iterations.mean() < 80
+    found = certified(relax(rods, Material(bend, bend), clamps, obstacles=[TABLE], radius=2.0))
+    assert (found.contact.gap > -4e-4).all() and found.iterations.mean() < 80
 
 
 @pytest.mark.thorough
 def test_no_edge_begins_across_the_corner_of_a_box(rng):
-    """Rods of 5 mm edges over boxes of 5 to 7 mm."""
     count = 128
     spans, aside = rng.uniform(110, 140, count), rng.uniform(-15, 15, count)
     rods, clamps = slack_rods(np.full(count, 25.0), spans, aside, 150.0, 30, Clamp.FRAME)
     bend = 10 ** rng.uniform(3.5, 5, count)
-    found = relax(rods, Material(bend, bend), clamps, obstacles=BOXES, radius=1.0)
-    assert found.converged.mean() > 0.97
+    assert relax(rods, Material(bend, bend), clamps, obstacles=BOXES, radius=1.0).converged.mean() > 0.97
 
 
 @pytest.mark.sampled(1)

@@ -1,5 +1,4 @@
-"""Rods whose start is free and whose far end is held, so that vertex 0 is an unknown: they converge as well as those held at
-their start. Edges without length, and long ones, beside obstacles."""
+"""Rods whose start is free converge as well as those held there; and edges without length, and long ones, beside obstacles."""
 
 import numpy as np
 import pytest
@@ -10,9 +9,11 @@ from doo_ti.relaxation.sensitivity import gripper_jacobian
 from doo_ti.rod.frames import unit_vectors
 from doo_ti.rod.shapes import end_clamps, hanging
 from tests.contact.clutter import gaps
+from tests.references.rods import certified
 from tests.relaxation.rods import wandering
 
 LENGTH, RADIUS = 300.0, 3.0
+FINE_ENDS = straight_rod(LENGTH, 30, vertex_clamps=True)
 
 
 @pytest.mark.sampled(1)
@@ -34,9 +35,8 @@ def test_they_reach_the_tolerance_on_a_plane(rng, edges):
 def test_straight_ones_in_any_direction(rng, kind):
     """The edges of a straight rod are parallel, but for rounding."""
     rods = Configuration.concatenate([straight_rod(LENGTH, 10, direction=way) for way in rng.normal(size=(200, 3))])
-    clamps = end_clamps(rods, Clamp.FREE, kind)
-    found = relax(rods, Material(3e6, 2e6), clamps, obstacles=[Sphere((1e4, 0, 0), 5.0)], radius=1.0)
-    assert found.converged.all()
+    clamps, far = end_clamps(rods, Clamp.FREE, kind), Sphere((1e4, 0, 0), 5.0)
+    assert relax(rods, Material(3e6, 2e6), clamps, obstacles=[far], radius=1.0).converged.all()
 
 
 @pytest.mark.parametrize("kind", [Clamp.POSITION, Clamp.FRAME])
@@ -54,16 +54,12 @@ def test_under_a_load_at_their_start(rng, kind, edges):
 @pytest.mark.parametrize("obstacle", [Sphere((0, 0, -22.2), 20.0), Box((0, 0, -22.2), (40, 40, 40)),
                                       Sphere((280, 0, -60), 20.0)], ids=["sphere", "box", "below the tip"])
 def test_end_edges_without_length_beside_curved_obstacles(obstacle):
-    rod = straight_rod(LENGTH, 30, vertex_clamps=True)
-    found = relax(rod, Material(1e6, 1e6), end_clamps(rod, Clamp.FRAME, Clamp.FREE), obstacles=[obstacle], radius=2.0)
-    assert found.converged.all() and found.stable.all()
+    found = certified(relax(FINE_ENDS, Material(1e6, 1e6), end_clamps(FINE_ENDS), obstacles=[obstacle], radius=2.0))
     assert gaps([obstacle], found.configuration.vertices, 2.0).min() > -1e-3
 
 
 def test_rods_with_such_edges_beside_themselves_have_gaps_and_derivatives():
-    rod = straight_rod(LENGTH, 30, vertex_clamps=True)
-    clamps = end_clamps(rod, Clamp.FRAME, Clamp.FREE)
-    found = relax(rod, Material(1e6, 1e6), clamps, obstacles=[Itself()], radius=2.0)
+    found = relax(FINE_ENDS, Material(1e6, 1e6), end_clamps(FINE_ENDS), obstacles=[Itself()], radius=2.0)
     assert np.isfinite(found.contact.gap).all() and gripper_jacobian(found).usable.all()
 
 

@@ -12,7 +12,7 @@ from doo_ti.contact.surroundings import Itself, Moving, Surroundings
 from doo_ti.dynamics.grippers import Grippers, obstacle_path
 from doo_ti.dynamics.parameters import Dynamics, Stepping
 from doo_ti.relaxation.time_loading import POSE_COLUMNS
-from doo_ti.rod.frames import matrix_from_quaternion, quaternion_of_turn
+from doo_ti.rod.frames import rotation_matrix
 from doo_ti.rod.shapes import end_clamps, hanging, rod_along, straight_rod
 from doo_ti.rod.types import Configuration
 from tests.conftest import check_refused
@@ -23,10 +23,10 @@ FLOOR = Plane((0, 0, -10), (0, 0, 1))
 MATERIAL = Material(1e5, 1e5)
 ROD = straight_rod(60.0, 10)
 HELD = end_clamps(ROD, Clamp.FRAME, Clamp.FREE)
+RING = Ring((27, 0, 0), (0, 0, 1), 3.0, 0.6)
 
 
 def simulated(count: int = 4, **around):
-    """Rods whose grippers stay where they are."""
     rods, clamps = hanging(100.0, 12, start=np.zeros((count, 3)), end=(70, 0, 0))
     return simulate(rods, MATERIAL, Grippers.resting(clamps, 3), Dynamics(), Stepping(100.0), **around)
 
@@ -34,9 +34,8 @@ def simulated(count: int = 4, **around):
 @pytest.mark.parametrize("rows", [3, 6])
 def test_rows_that_do_not_match_the_rods(rows):
     spheres = Sphere(np.tile([0.0, 500.0, 0.0], (rows, 1)), 5.0)
-    check_refused(f"obstacles: {rows} rows of Sphere for 4 rods", simulated, obstacles=[spheres], radius=1.0)
-    moving = Moving(spheres, np.zeros((3, 3)))
-    check_refused(f"obstacles: {rows} rows of Sphere for 4 rods", simulated, obstacles=[moving], radius=1.0)
+    for given in (spheres, Moving(spheres, np.zeros((3, 3)))):
+        check_refused(f"obstacles: {rows} rows of Sphere for 4 rods", simulated, obstacles=[given], radius=1.0)
     check_refused(f"radius: {rows} for 4 rods", simulated, obstacles=[FLOOR], radius=np.ones(rows))
 
 
@@ -80,8 +79,7 @@ def test_relaxing_again_leaves_the_first_solution_as_it_was():
     first = relax(rods, MATERIAL, clamps, obstacles=[Plane((0, 0, -36), (0, 0, 1))], radius=1.0)
     loads, force = end_loads(first).start_force.copy(), first.contact_force.copy()
     assert (force != 0).any()
-    heavy = relax(first, Material(1e5, 1e5, 3.0))
-    again = relax(first, Material(1e5, 1e5, 3.0))
+    heavy, again = (relax(first, Material(1e5, 1e5, 3.0)) for _ in range(2))
     np.testing.assert_array_equal(end_loads(first).start_force, loads)
     np.testing.assert_array_equal(first.contact_force, force)
     np.testing.assert_array_equal(heavy.configuration.vertices, again.configuration.vertices)
@@ -90,12 +88,11 @@ def test_relaxing_again_leaves_the_first_solution_as_it_was():
 @pytest.mark.thorough
 def test_f64_restarts_from_the_start():
     """A rod that f32 could not finish begins in f64 where it was given, though vertex 0 is free."""
-    rod = straight_rod(100.0, 20, (0, 0, 30), (1, 0, 0))
+    rod, around = straight_rod(100.0, 20, (0, 0, 30), (1, 0, 0)), dict(obstacles=[FLOOR], radius=1.0)
     held = end_clamps(rod, Clamp.FREE, Clamp.POSITION)
     held.end_position[:, 1] += 60.0
-    few = Newton(max_iterations=4)
-    single = relax(rod, MATERIAL, held, few, obstacles=[FLOOR], radius=1.0, precision="f32")
-    double = relax(rod, MATERIAL, held, Newton(max_iterations=4, first_shift=0.0), obstacles=[FLOOR], radius=1.0)
+    single = relax(rod, MATERIAL, held, Newton(max_iterations=4), precision="f32", **around)
+    double = relax(rod, MATERIAL, held, Newton(max_iterations=4, first_shift=0.0), **around)
     assert not single.converged[0] and single.precision[0] == 64
     np.testing.assert_array_equal(single.configuration.vertices, double.configuration.vertices)
 
@@ -105,10 +102,9 @@ def test_obstacles_of_single_rods_are_as_shared_ones():
     rod = straight_rod(100.0, 20)
     held = replace(end_clamps(rod, Clamp.POSITION, Clamp.POSITION), end_position=np.array([[70.0, 0, 0]]))
     for side in (-12.0, 12.0):
-        centre = np.array([35.0, 0.0, side])
-        alone = relax(rod, MATERIAL, held, obstacles=[Sphere(centre, 8.0)], radius=1.0)
-        two, ends = rod.take([0, 0]), held.take([0, 0])
-        both = relax(two, MATERIAL, ends, obstacles=[Sphere(np.stack([centre, centre + [0, 300, 0]]), 8.0)], radius=1.0)
+        one, spheres = Sphere((35, 0, side), 8.0), Sphere([[35, 0, side], [35, 300, side]], 8.0)
+        alone = relax(rod, MATERIAL, held, obstacles=[one], radius=1.0)
+        both = relax(rod.take([0, 0]), MATERIAL, held.take([0, 0]), obstacles=[spheres], radius=1.0)
         assert alone.status[0] == both.status[0]
         np.testing.assert_array_equal(alone.configuration.vertices[0], both.configuration.vertices[0])
 
@@ -135,17 +131,14 @@ def test_a_straight_start_has_room_in_a_channel(push):
     assert found.converged[0] and found.contact.gap[0] > -1e-3
 
 
-RING = Ring((27, 0, 0), (0, 0, 1), 3.0, 0.6)
-
-
 @pytest.mark.parametrize("edges, ring, least", [
     (10, RING, 0.7), (30, RING, 0.95),
     pytest.param(10, sampled(RING, 0.2, (22, -5, -2), (32, 5, 2)), 0.7, id="grid", marks=pytest.mark.thorough)])
 def test_no_rod_that_has_converged_is_inside_a_ring(rng, edges, ring, least):
     """Also where an edge is twice as long as the ring's hole is wide, and near to it twice: such a rod is stalled."""
     count, radius = 60, 0.3
-    rod = straight_rod(60.0, edges).take([0] * count)
-    rod = replace(rod, start=np.stack([np.zeros(count), rng.uniform(-4, 4, count), rng.uniform(8, 16, count)], -1))
+    place = np.stack([np.zeros(count), rng.uniform(-4, 4, count), rng.uniform(8, 16, count)], -1)
+    rod = replace(straight_rod(60.0, edges).take([0] * count), start=place)
     held = end_clamps(rod, Clamp.FRAME, Clamp.FRAME)
     held.end_position[:, 0] -= rng.uniform(1, 15, count)
     found = relax(rod, Material(10 ** rng.uniform(2.5, 4.5, count), 1e4), held, obstacles=[ring], radius=radius)
@@ -158,10 +151,9 @@ def test_moving_planes_of_single_rods_count_where_these_are():
     """Two rods a metre apart, each with a table that tilts about it: neither limits the other's step."""
     begin = np.array([[0.0, 0, 0], [1000.0, 0, 0]])
     rods, _ = hanging(100.0, 12, start=begin, end=begin + [70.0, 0, 0])
-    tilt = matrix_from_quaternion(quaternion_of_turn(np.outer(0.004 * np.arange(3.0), [0, 1.0, 0])))
-    own = Moving(Plane(begin - [0, 0, 60.0], (0, 0, 1)), np.zeros((3, 3)), tilt)
+    tilt = rotation_matrix(np.outer(0.004 * np.arange(3.0), [0, 1.0, 0]))
+    own, shared = (Moving(Plane(point, (0, 0, 1)), np.zeros((3, 3)), tilt) for point in (begin - [0, 0, 60], (0, 0, -60)))
     assert obstacle_path(Surroundings([own], 1.0), Stepping(100.0), 3, rods).shape == (2, 3, 1, POSE_COLUMNS)
-    shared = Moving(Plane((0, 0, -60.0), (0, 0, 1)), np.zeros((3, 3)), tilt)
     check_refused("a Plane moves by 4", obstacle_path, Surroundings([shared], 1.0), Stepping(100.0), 3, rods)
 
 
@@ -169,9 +161,8 @@ def test_moving_planes_of_single_rods_count_where_these_are():
 def test_limp_ropes_over_a_wire_of_any_thickness(rng, wire):
     """The same zone that centrelines may not enter, however wire and rod share it."""
     count = 40
-    rope = straight_rod(100.0, 40).take([0] * count)
     place = np.stack([np.zeros(count), rng.uniform(-3, 3, count), rng.uniform(5, 40, count)], -1)
-    rope = replace(rope, start=place)
+    rope = replace(straight_rod(100.0, 40).take([0] * count), start=place)
     found = relax(rope, Material(10 ** rng.uniform(2.5, 4, count), 1e5), end_clamps(rope, Clamp.FRAME, Clamp.FREE),
                   obstacles=[Capsule((50, -300, 0), (50, 300, 0), wire)], radius=0.55 - wire)
     assert found.converged.all() and (found.contact_force != 0).any(axis=(1, 2)).mean() > 0.5

@@ -11,7 +11,7 @@ from doo_ti.dynamics.identify import IdentifyOptions, identify, identify_from_gu
 from doo_ti.dynamics.theta import MotionTheta, Stills, Unknowns, load_theta, save_form, simulated
 from doo_ti.rod.frames import bishop_frames, quaternion_from_matrix, rotation_matrix
 from tests.commands.calls import made
-from tests.conftest import check_refused
+from tests.conftest import SEED, check_refused
 from tests.dynamics.test_identify import slopes_and_differences
 
 RATE, COUNT, FRAMES, SETTLING = 100.0, 6, 150, 60
@@ -28,9 +28,8 @@ GUESS = replace(TRUE, bend=4e6, bend_damping=0.01, friction=0.6)
 def swings(rng, size: float, axes: int) -> np.ndarray:
     """(COUNT, SETTLING + FRAMES, axes) ways that grow out of rest within half a second."""
     times = np.maximum(np.arange(SETTLING + FRAMES) - SETTLING, 0)[:, None] / RATE
-    ramp = (times / 0.3) ** 2 / (1.0 + (times / 0.3) ** 2)
     rates, phases, sizes = (rng.uniform(low, high, (COUNT, 1, axes)) for low, high in ((2, 6), (0, 6), (-size, size)))
-    return ramp * sizes * np.sin(rates * times + phases)
+    return times**2 / (0.3**2 + times**2) * sizes * np.sin(rates * times + phases)
 
 
 def arcs(rng) -> tuple[Configuration, np.ndarray]:
@@ -51,10 +50,9 @@ def recorded(rng) -> RecordedMotion:
         apart = np.pad(swings(rng, 15.0, 2), ((0, 0), (0, 0), (0, 1)))
         turn = rotation_matrix(swings(rng, 0.5, 1) * TRUE.reference)
         ways += [start.vertices[:, None, vertex] + together + apart, turn @ frames[:, None, vertex]]
-    material, dynamics = simulated([TRUE])
     grippers = Grippers(Clamp.FRAME, Clamp.FRAME, ways[0], ways[2], ways[1], ways[3])
-    found = simulate(start, material, grippers, dynamics, Stepping(RATE), obstacles=[TABLE.rubbing(TRUE.friction)],
-                     radius=RADIUS)
+    (material, dynamics), rough = simulated([TRUE]), TABLE.rubbing(TRUE.friction)
+    found = simulate(start, material, grippers, dynamics, Stepping(RATE), obstacles=[rough], radius=RADIUS)
     assert found.converged.all()
     motion = RecordedMotion.of(found.positions[:, SETTLING - 1 :], RATE)
     # As they move from where their first two frames show them.
@@ -65,7 +63,7 @@ def recorded(rng) -> RecordedMotion:
 
 @pytest.fixture(scope="module")
 def motion() -> RecordedMotion:
-    return recorded(np.random.default_rng(2011))
+    return recorded(np.random.default_rng(SEED))
 
 
 @pytest.mark.slow
@@ -113,7 +111,6 @@ def test_what_cannot_be_identified_is_one_line(rng):
 
 
 def written(path, friction: float | None):
-    """A file of TRUE, but for its friction."""
     form = {key: value.tolist() if isinstance(value, np.ndarray) else value for key, value in save_form(TRUE).items()}
     path.write_text(json.dumps(form | {"friction": friction}))
     return path
@@ -125,8 +122,8 @@ def test_simulate_takes_the_table_and_the_friction_of_theta(motion, tmp_path):
     (tmp_path / "table.toml").write_text('[[obstacles]]\nkind = "plane"\npoint = [0, 0, 0]\nnormal = [0, 0, 1]\n')
     errors = []
     for friction in (TRUE.friction, 0.25, 0.1):
-        found = made(["simulate", str(tmp_path / "dragged.npz"), "--theta", str(written(tmp_path / "theta.json", friction)),
-                      "--out", str(tmp_path / "f.npz"), "--obstacles", str(tmp_path / "table.toml"), "--radius", str(RADIUS)])
+        found = made(["simulate", tmp_path / "dragged.npz", "--theta", written(tmp_path / "theta.json", friction),
+                      "--out", tmp_path / "f.npz", "--obstacles", tmp_path / "table.toml", "--radius", RADIUS])
         errors.append(found["error_mm"].mean())
     assert errors[0] < 0.1 < errors[1] < errors[2]
 

@@ -25,12 +25,17 @@ def solid_angles(a: np.ndarray, b: np.ndarray, c: np.ndarray, d: np.ndarray) -> 
     return np.sign(np.einsum("...j,...j->...", np.cross(d - c, b - a), c - a)) * angle
 
 
+def pairs(count: int) -> tuple[np.ndarray, np.ndarray]:
+    """The pairs of edges of a closed polygon that do not meet at a vertex."""
+    i, j = np.triu_indices(count, 2)
+    keep = (i > 0) | (j < count - 1)
+    return i[keep], j[keep]
+
+
 def writhe(points: np.ndarray) -> float:
     """Of a closed polygon (N, 3), in turns: the sum over pairs of edges of the solid angle in which they cross."""
-    start, end = points, np.roll(points, -1, axis=0)
-    i, j = np.triu_indices(len(points), 2)
-    keep = ~((i == 0) & (j == len(points) - 1))
-    return float(solid_angles(start[i[keep]], end[i[keep]], start[j[keep]], end[j[keep]]).sum() / (2.0 * np.pi))
+    (i, j), end = pairs(len(points)), np.roll(points, -1, axis=0)
+    return float(solid_angles(points[i], end[i], points[j], end[j]).sum() / (2.0 * np.pi))
 
 
 def linking(first: np.ndarray, second: np.ndarray) -> float:
@@ -51,30 +56,20 @@ def determinant(vertices: np.ndarray) -> int:
     Of a diagram of the closed rod every crossing gives an equation between the arcs that meet there, twice the upper one less
     both lower ones; the determinant is that of all equations but one, of all arcs but one.
     """
-    points = closed(vertices)
-    turn = np.linalg.qr(np.random.default_rng(0).normal(size=(3, 3)))[0]
-    points = points @ turn
-    start, side = points, np.roll(points, -1, axis=0) - points
-    count = len(points)
-    crossings = []  # (place along the rod where it runs below, place where it runs above)
-    for i in range(count):
-        for j in range(i + 2, count - (i == 0)):
-            across = side[i, 0] * side[j, 1] - side[i, 1] * side[j, 0]
-            if across == 0.0:
-                continue
-            away = start[j] - start[i]
-            s = (away[0] * side[j, 1] - away[1] * side[j, 0]) / across
-            t = (away[0] * side[i, 1] - away[1] * side[i, 0]) / across
-            if 0 < s < 1 and 0 < t < 1:
-                first, second = start[i, 2] + s * side[i, 2], start[j, 2] + t * side[j, 2]
-                crossings.append((i + s, j + t) if first < second else (j + t, i + s))
-    if len(crossings) < 3:
+    points = closed(vertices) @ np.linalg.qr(np.random.default_rng(0).normal(size=(3, 3)))[0]
+    side, (i, j) = np.roll(points, -1, axis=0) - points, pairs(len(points))
+    away = points[j] - points[i]
+    across, *along = (first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0]
+                      for first, second in ((side[i], side[j]), (away, side[j]), (away, side[i])))
+    s, t = np.divide(along, across, out=np.zeros((2, len(i))), where=across != 0.0)
+    meet = (0 < s) & (s < 1) & (0 < t) & (t < 1)
+    i, j, s, t = (values[meet] for values in (i, j, s, t))
+    first_below = points[i, 2] + s * side[i, 2] < points[j, 2] + t * side[j, 2]
+    # The places along the rod where it runs below, and where it runs above.
+    under, over = np.where(first_below, (i + s, j + t), (j + t, i + s))
+    if len(under) < 3:
         return 1
-    below = np.sort([under for under, _ in crossings])
-    matrix = np.zeros((len(crossings), len(crossings)))
-    for row, (under, over) in enumerate(crossings):
-        ends = int(np.searchsorted(below, under))
-        matrix[row, np.searchsorted(below, over) % len(crossings)] += 2.0
-        matrix[row, ends] -= 1.0
-        matrix[row, (ends + 1) % len(crossings)] -= 1.0
+    below, arcs = np.sort(under), np.eye(len(under))
+    ends = np.searchsorted(below, under)
+    matrix = 2.0 * arcs[np.searchsorted(below, over) % len(under)] - arcs[ends] - arcs[(ends + 1) % len(under)]
     return round(abs(np.linalg.det(matrix[1:, 1:])))

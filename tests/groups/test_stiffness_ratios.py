@@ -1,5 +1,4 @@
-"""Groups in which stiffness differs by up to 1e9, along rods, across them and between them, against a dense Newton's method in
-rotations of joints and, where nothing ties them, against the rods alone."""
+"""Groups in which stiffness differs by up to 1e9, against a dense Newton's method and, where nothing ties them, rods alone."""
 
 import numpy as np
 import pytest
@@ -9,37 +8,26 @@ from doo_ti import Clamp, Clamps, Group, Material, Status, Tie, end_clamps, rela
 from tests.groups.reference import nearest_equilibrium
 
 EDGES, LENGTH, SOFT, POSES = 12, 120.0, 1e6, 6
-RATIOS = tuple(10.0**power for power in range(10))
-SHAPE, ALONE = 1e-4, 1e-7
-"""Of the length: what a converged group may be off, and rods that nothing ties from the same rods alone."""
-ANOTHER, SURE = 1e-2, 1e-2
-"""Of the length: further apart are two equilibria of one rod; and rad, the last step of a reference at rest: what neutral spins
-make of it is no more."""
-KINDS = ("separate", "tied", "hung", "welded", "along", "across", "tapers welded", "net")
+SHAPE, ALONE = 1e-4, 1e-7  # of the length: what a converged group may be off, and untied rods from the same rods alone
+ANOTHER = 1e-2  # of the length: further apart are two equilibria of one rod
+SURE = 1e-2  # rad, the last step of a reference at rest: what neutral spins make of it is no more
 
 
 def materials(kind: str, ratio: float) -> list[Material]:
     """Of both rods, that of the softest part being SOFT."""
-    soft, stiff = Material(SOFT, 0.8 * SOFT), Material(ratio * SOFT, 0.8 * ratio * SOFT)
-    if kind == "along":
-        along = np.ones(EDGES)
-        along[EDGES // 3 : 2 * EDGES // 3] = ratio
-    elif kind == "tapers welded":
+    if kind == "across":
+        return 2 * [Material(SOFT * np.diag([ratio, 1.0]), SOFT * np.sqrt(ratio))]
+    stiff, soft = Material(ratio * SOFT, 0.8 * ratio * SOFT), Material(SOFT, 0.8 * SOFT)
+    if kind == "tapers welded":
         along = np.geomspace(ratio, 1.0, EDGES)
-    elif kind == "across":
-        strip = Material(SOFT * np.diag([ratio, 1.0]), SOFT * np.sqrt(ratio))
-        return [strip, strip]
-    else:
-        return [stiff, soft]
-    uneven = Material(SOFT * along[None, :, None, None] * np.eye(2), SOFT * np.minimum(along[1:], along[:-1])[None])
-    return [uneven, soft]
+        stiff = Material(SOFT * along[None, :, None, None] * np.eye(2), SOFT * along[None, 1:])
+    return [stiff, soft]
 
 
 def drawn(kind: str, ratio: float) -> Group:
     """POSES random groups of a stiff rod and a soft one behind it, or hung from its middle."""
     rng = np.random.default_rng(7)
-    rods = [straight_rod(LENGTH, EDGES, (x, 0.0, 0.0)) for x in (0.0, LENGTH)]
-    rods = [rod.take(np.zeros(POSES, dtype=int)) for rod in rods]
+    rods = [straight_rod(LENGTH, EDGES, (x, 0.0, 0.0)).take([0] * POSES) for x in (0.0, LENGTH)]
     ways = rng.normal(size=(2, POSES, 3))
     ways *= LENGTH * rng.uniform(0.4, 0.9, (2, POSES, 1)) / np.linalg.norm(ways, axis=-1, keepdims=True)
     kinds = rng.integers(Clamp.POSITION, Clamp.FRAME + 1, (2, 2, POSES))
@@ -54,40 +42,27 @@ def drawn(kind: str, ratio: float) -> Group:
     place = rods[0].vertices[:, tied] + ways[1]  # within reach though the stiff rod is all but straight
     clamps = [Clamps(np.full(POSES, Clamp.FRAME), far, own[0].start_position, place, own[0].start_frame, own[0].end_frame),
               Clamps(far, kinds[1, 1], own[1].start_position, place, own[1].start_frame, frames[1] @ own[1].end_frame)]
-    ties = [Tie((0, tied), (1, 0), weld="weld" in kind)]
-    if kind == "net":
-        ties.append(Tie((0, 9), (1, 6), weight=20.0))
-    return Group(rods, materials(kind, ratio), clamps, ties)
-
-
-def apart(shapes, others) -> np.ndarray:
-    """The most by which vertices differ, over the length."""
-    return max(np.linalg.norm(one - other, axis=-1).max() for one, other in zip(shapes, others, strict=True)) / LENGTH
-
-
-def off(kind: str, ratio: float) -> tuple[np.ndarray, np.ndarray]:
-    """(POSES,) of each converged group how far it is from the nearest equilibrium, over the length, else NaN; and whether the
-    reference comes to rest there: what is neutral, or a hundred million times softer than the rest, it may not determine."""
-    solution = relax_group(drawn(kind, ratio))
-    found, sure = np.full(POSES, np.nan), np.zeros(POSES, dtype=bool)
-    for row in np.flatnonzero(solution.converged):
-        exact = nearest_equilibrium(solution.group, row)
-        found[row] = apart(exact.vertices, [rod.vertices[row] for rod in solution.rods])
-        sure[row] = exact.step < SURE
-    print(f"{kind} {ratio:.0e}:", ", ".join("-" if np.isnan(error) else f"{error:.0e}" for error in found),
-          "iterations", *solution.iterations)
-    return found, sure
+    return Group(rods, materials(kind, ratio), clamps, [Tie((0, tied), (1, 0), weld="weld" in kind)])
 
 
 @pytest.mark.thorough
-@pytest.mark.parametrize("kind", [kind for kind in KINDS[1:] if kind not in ("along", "net")])  # those take long
+@pytest.mark.parametrize("kind", ["tied", "hung", "welded", "across", "tapers welded"])
 def test_what_is_soft_is_resolved_beside_what_is_stiff(kind):
-    found, sure = off(kind, 1e6)
+    """Where the reference comes to rest: what is neutral, or much softer than the rest, it may not determine."""
+    solution = relax_group(drawn(kind, 1e6))
+    found, sure = np.full(POSES, np.nan), np.zeros(POSES, dtype=bool)
+    for row in np.flatnonzero(solution.converged):
+        exact = nearest_equilibrium(solution.group, row)
+        found[row] = max(np.linalg.norm(shape - rod.vertices[row], axis=-1).max() / LENGTH
+                         for shape, rod in zip(exact.vertices, solution.rods, strict=True))
+        sure[row] = exact.step < SURE
+    print(f"{kind}:", ", ".join("-" if np.isnan(error) else f"{error:.0e}" for error in found),
+          "iterations", *solution.iterations)
     assert found[sure].max() < SHAPE and sure.sum() >= POSES // 2 and np.isfinite(found).sum() >= POSES - 1
 
 
 @pytest.mark.thorough
-@pytest.mark.parametrize("ratio", RATIOS[::-3])
+@pytest.mark.parametrize("ratio", [1e9, 1e6, 1e3, 1.0])
 def test_rods_that_nothing_ties_are_those_alone(ratio):
     """Where both come to rest in the same equilibrium, of which a bent rod has several."""
     group = drawn("separate", ratio)

@@ -1,5 +1,6 @@
-"""Motions of both clamps: their end, their direction of rotation, and their number of sub-steps; and rods that they carry,
-which follow their branch with any size of sub-steps."""
+"""Motions of both clamps: their end, their direction of rotation, and their number of sub-steps."""
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -27,12 +28,10 @@ def angle_between(first: np.ndarray, second: np.ndarray) -> np.ndarray:
 @pytest.mark.parametrize("rotation", [None, 0.3, 7.0, -20.0])
 def test_motions_meet_their_goals(rng, rotation):
     here, goal = clamps_of(rng, 40), clamps_of(rng, 40)
-    given = None if rotation is None else np.full(40, rotation)
-    end = motion_between(here, goal, given).at(1.0)
-    begin = motion_between(here, goal, given).at(0.0)
-    for name in ("start_position", "end_position", "start_frame", "end_frame"):
-        np.testing.assert_allclose(getattr(begin, name), getattr(here, name), atol=1e-12)
-        np.testing.assert_allclose(getattr(end, name), getattr(goal, name), atol=1e-12)
+    motion = motion_between(here, goal, None if rotation is None else np.full(40, rotation))
+    for share, clamps in ((0.0, here), (1.0, goal)):
+        for name in ("start_position", "end_position", "start_frame", "end_frame"):
+            np.testing.assert_allclose(getattr(motion.at(share), name), getattr(clamps, name), atol=1e-12)
 
 
 def test_shortest_rotations_turn_evenly(rng):
@@ -50,8 +49,7 @@ def test_shortest_rotations_turn_evenly(rng):
 @pytest.mark.parametrize("given, turned", [(120, 120), (130, 120), (-240, -240), (400, 480), (-500, -600), (840, 840)])
 def test_the_turn_nearest_to_the_given_one_is_taken(rng, given, turned):
     here = clamps_of(rng, 5)
-    goal = Clamps(Clamp.FRAME, Clamp.FRAME, here.start_position, here.end_position, here.start_frame,
-                  spun(here.end_frame, np.radians(120)))
+    goal = replace(here, end_frame=spun(here.end_frame, np.radians(120)))
     motion = motion_between(here, goal, np.full(5, np.radians(given)))
     for share in (0.1, 0.6, 1.0):
         expected = spun(here.end_frame, share * np.radians(turned))
@@ -74,16 +72,14 @@ def test_sub_steps_are_short(rng):
     """What the furthest rod needs: of each frame's turn, of the far one's spin beside it, of each shift."""
     here = clamps_of(rng, 6)
     lengths = np.full(33, 3.0)
-    still = motion_between(here, here)
-    assert still.needed_steps(lengths).max() == 1
-    goal = Clamps(here.start, here.end, here.start_position, here.end_position, here.start_frame, spun(here.end_frame, 1.0))
+    assert motion_between(here, here).needed_steps(lengths).max() == 1
+    goal = replace(here, end_frame=spun(here.end_frame, 1.0))
     assert motion_between(here, goal).needed_steps(lengths, 0.1).max() == 10
     assert motion_between(here, goal, np.full(6, 1.0)).needed_steps(lengths, 0.1).max() == 10
     assert motion_between(here, goal, np.full(6, 1.0 + 2 * np.pi)).needed_steps(lengths, 0.1).max() == 73
-    moved = Clamps(here.start, here.end, here.start_position + [9.9, 0, 0], here.end_position, here.start_frame, here.end_frame)
+    moved = replace(here, start_position=here.start_position + [9.9, 0, 0])
     assert motion_between(here, moved).needed_steps(lengths, 0.1).max() == 5
-    far = clamps_of(rng, 6)
-    motion = motion_between(here, far)
+    motion = motion_between(here, clamps_of(rng, 6))
     count = motion.needed_steps(lengths).max()
     for name in ("start_frame", "end_frame"):
         apart = angle_between(getattr(motion.at(0.5), name), getattr(motion.at(0.5 + 1 / count), name))
@@ -92,10 +88,7 @@ def test_sub_steps_are_short(rng):
 
 def test_motions_that_never_end_are_refused(rng):
     here = clamps_of(rng, 2)
-    lengths = np.full(20, 3.0)
     for motion, turn in ((motion_between(here, here, np.full(2, 2.0**32)), LARGEST_TURN),
                          (motion_between(here, clamps_of(rng, 2)), 1e-300)):
         with pytest.raises(InputError, match="sub-steps"):
-            motion.needed_steps(lengths, turn)
-
-
+            motion.needed_steps(np.full(20, 3.0), turn)
