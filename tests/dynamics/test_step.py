@@ -20,12 +20,12 @@ from doo_ti import Dynamics, Grippers, MovingStart, Newton, Springs, Stepping, s
 from doo_ti.dynamics import simulate as simulation
 from doo_ti.rod.frames import quaternion_product, smallest_rotation
 from doo_ti.rod.types import Clamp, Clamps, Configuration, Material, Status
-from tests.oracle.algebra import body_rotated, directors, gradient_and_hessian, seeds
-from tests.oracle.chain_form import Rod, closure_gradient, linear_derivatives, rod_of
+from tests.oracle.algebra import body_rotated, directors, gradient_and_hessian
+from tests.oracle.chain_form import Rod, assembled, linear_derivatives, rod_of
 from tests.oracle.equilibrium import clamped_start, free_variables, moved, vertices_of
 from tests.oracle.external import Springs as DenseSprings
-from tests.oracle.external import total_derivatives
-from tests.oracle.pair import quadratic, strains
+from tests.oracle.external import total_derivatives, vertex_jacobian
+from tests.oracle.pair import quadratic, seeded_pairs, strains
 from tests.relaxation.rods import definite, wandering
 
 GRAVITY = 9806.65
@@ -75,24 +75,14 @@ def joint_strains(q: np.ndarray) -> np.ndarray:
 def damping_derivatives(body: Body, q: np.ndarray, previous: np.ndarray, rate: float) -> tuple[np.ndarray, np.ndarray]:
     """(3E,) gradient and (3E, 3E) Hessian of the potential of the damping moments, rate = c0/h; previous (5, E − 1) is where
     the strains' derivative in time is zero."""
-    rod, joints = body.rod, body.rod.edges - 1
-    gradient, hessian = np.zeros(3 * rod.edges), np.zeros((3 * rod.edges, 3 * rod.edges))
-    w = seeds(6, like=1)
-    frames = [body_rotated([part[:, None, None] for part in frame.T], turn)
-              for frame, turn in ((q[:-1], w[:3]), (q[1:], w[3:]))]
-    left, right, turn = strains(*frames)
-    y = previous[:, :, None, None]
+    rod, y = body.rod, previous[:, :, None, None]
+    left, right, turn = strains(*seeded_pairs(q[:-1], q[1:], body_rotated))
     length = (rod.rest_length[:-1] + rod.rest_length[1:])[:, None, None]
-    bend = [b[:, None, None] for b in (rod.bend[:-1], rod.bend[1:])]
-    bending = sum(quadratic(b, [u[0] - at[0], u[1] - at[1]]) for b, u, at in ((bend[0], left, y[:2]), (bend[1], right, y[2:4])))
+    bending = sum(quadratic(bend[:, None, None], [u[0] - at[0], u[1] - at[1]])
+                  for bend, u, at in ((rod.bend[:-1], left, y[:2]), (rod.bend[1:], right, y[2:4])))
     twisting = (turn - y[4]) * (turn - y[4]) * rod.twist[:, None, None]
     energy = (bending * (0.5 * body.bend_damping) + twisting * body.twist_damping) * (rate / length)
-    slopes, curvatures = gradient_and_hessian(energy, (joints,), 6)
-    for i in range(joints):
-        block = slice(3 * i, 3 * i + 6)
-        gradient[block] += slopes[i]
-        hessian[block, block] += curvatures[i]
-    return gradient, hessian
+    return assembled(*gradient_and_hessian(energy, (rod.edges - 1,), 6))
 
 
 def step(body: Body, last: Instant, before: Instant, clamps: Clamps, index: int, h: float,
@@ -119,7 +109,7 @@ def step(body: Body, last: Instant, before: Instant, clamps: Clamps, index: int,
         hessian[3:, 3:] += damping[1]
         rows, miss = np.zeros((0, len(free))), np.zeros(0)
         if ends.end_position is not None:
-            rows = np.hstack([np.eye(3), closure_gradient(rod, state.quaternions)])[:, free]
+            rows = vertex_jacobian(rod, state.quaternions)[-1][:, free]
             miss = x[-1] - ends.end_position
             hessian[3:, 3:] += linear_derivatives(rod, state.quaternions, force)[1]
         matrix = np.block([[hessian[np.ix_(free, free)], rows.T], [rows, np.zeros((len(miss),) * 2)]])

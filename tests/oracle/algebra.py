@@ -40,10 +40,6 @@ class HyperDual:
             self.value * o.second + self.second * o.value,
             self.value * o.mixed + self.first * o.second + self.second * o.first + self.mixed * o.value)
 
-    def reciprocal(self):
-        inverse = 1.0 / self.value
-        return self.compose(inverse, -(inverse**2), 2.0 * inverse**3)
-
     def __sub__(self, other):
         return self + (-other)
 
@@ -51,10 +47,11 @@ class HyperDual:
         return (-self) + other
 
     def __truediv__(self, other):
-        return self * (other.reciprocal() if isinstance(other, HyperDual) else 1.0 / other)
+        return self * (1.0 / other)
 
     def __rtruediv__(self, other):
-        return self.reciprocal() * other
+        inverse = 1.0 / self.value
+        return other * self.compose(inverse, -(inverse**2), 2.0 * inverse**3)
 
     __radd__, __rmul__ = __add__, __mul__
 
@@ -63,14 +60,9 @@ def _lift(number) -> HyperDual:
     return number if isinstance(number, HyperDual) else HyperDual(number)
 
 
-def seeds(variables: int, like: int = 0) -> list[HyperDual]:
-    """Zeros with ε₁ on axis −2 and ε₂ on axis −1: ``f(x + seeds)`` then holds the (..., n, n) Hessian.
-
-    ``like`` is the number of batch axes in front.
-    """
-    unit = np.eye(variables)
-    lead = (1,) * like
-    return [HyperDual(0.0, unit[k].reshape(*lead, -1, 1), unit[k].reshape(*lead, 1, -1)) for k in range(variables)]
+def seeds(variables: int) -> list[HyperDual]:
+    """Zeros with ε₁ on axis −2 and ε₂ on axis −1: ``f(x + seeds)`` then holds the (..., n, n) Hessian."""
+    return [HyperDual(0.0, unit[:, None], unit) for unit in np.eye(variables)]
 
 
 def gradient_and_hessian(number: HyperDual, shape: tuple, variables: int) -> tuple[np.ndarray, np.ndarray]:
@@ -133,10 +125,6 @@ def scale(factor, a):
 
 def add(*vectors):
     return [sum(parts) for parts in zip(*vectors, strict=True)]
-
-
-def subtract(a, b):
-    return [x - y for x, y in zip(a, b, strict=True)]
 
 
 def normalise(a):

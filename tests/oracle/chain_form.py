@@ -71,15 +71,22 @@ def chain_energy(rod: Rod, start, quaternions):
 
 def chain_derivatives(rod: Rod, quaternions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """(3E,) gradient and (3E, 3E) Hessian of E in the body rotations of all edges, start held."""
-    gradient, hessian = np.zeros(3 * rod.edges), np.zeros((3 * rod.edges, 3 * rod.edges))
-    pairs = pair_gradient_hessian(quaternions[:-1], quaternions[1:], rod.rest_length[:-1], rod.rest_length[1:], rod.bend[:-1],
-                                  rod.bend[1:], rod.twist, rod.rest_curvature, rod.turned)
-    for i in range(rod.edges - 1):
-        block = slice(3 * i, 3 * i + 6)
-        gradient[block] += pairs[0][i]
-        hessian[block, block] += pairs[1][i]
+    gradient, hessian = assembled(*pair_gradient_hessian(
+        quaternions[:-1], quaternions[1:], rod.rest_length[:-1], rod.rest_length[1:], rod.bend[:-1], rod.bend[1:], rod.twist,
+        rod.rest_curvature, rod.turned))
     weight = linear_derivatives(rod, quaternions, rod.gravity_force)
     return gradient + weight[0], hessian + weight[1]
+
+
+def assembled(gradients: np.ndarray, hessians: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(3E,) and (3E, 3E) sums over the joints of their (E − 1, 6) gradients and (E − 1, 6, 6) Hessians."""
+    size = 3 * len(gradients) + 3
+    gradient, hessian = np.zeros(size), np.zeros((size, size))
+    for i in range(len(gradients)):
+        block = slice(3 * i, 3 * i + 6)
+        gradient[block] += gradients[i]
+        hessian[block, block] += hessians[i]
+    return gradient, hessian
 
 
 def linear_derivatives(rod: Rod, quaternions: np.ndarray, force: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from tests.oracle.algebra import angle, cross, dot, normalise, real, scale, sqrt, subtract, transport
+from tests.oracle.algebra import add, angle, cross, dot, normalise, real, scale, sqrt, transport
 
 
 def curvature_binormal(edge_before, edge_after):
@@ -39,7 +39,7 @@ def vertex_energy(vertices, m1, m2, rest_length, bend, twist, weight, rest_curva
     l̄_i = l_{i−1} + l_i inside, l̄_0 = l_0, l̄_E = l_{E−1}; gravity is measured from the plane up·x = 0.
     """
     count = len(rest_length)
-    edges = [subtract(vertices[j + 1], vertices[j]) for j in range(count)]
+    edges = [add(vertices[j + 1], scale(-1.0, vertices[j])) for j in range(count)]
     angles = twist_angles([normalise(edge) for edge in edges], m1)
     bending = twisting = gravity = 0.0
     for i in range(1, count):
