@@ -46,11 +46,8 @@ def clamped_determinant(moment: float, compression: float) -> float:
     takes that root out.
     """
     half_gap = np.sqrt(moment**2 / 4 + compression)
-    waves = np.array([moment / 2 + half_gap, moment / 2 - half_gap])
-    rows = []
-    for s in (-0.5, 0.5):
-        wave = np.exp(1j * waves * s)
-        rows += [[1, s, *wave], [0, 1, *(1j * waves * wave)]]
+    waves = 1j * np.array([moment / 2 + half_gap, moment / 2 - half_gap])
+    rows = [row for s in (-0.5, 0.5) for row in ([1, s, *np.exp(waves * s)], [0, 1, *(waves * np.exp(waves * s))])]
     return np.linalg.det(np.array(rows)).imag / half_gap
 
 
@@ -114,8 +111,7 @@ TWIST, LENGTH, WAVES = 5e5, 100.0, 8.0
 
 def buckled_rod(edges: int, largest: float, flatter: float = 0.0) -> tuple[Configuration, np.ndarray]:
     """The closed form at the edges' middles, and tanh² there; ``flatter`` takes that part of φ away in the middle."""
-    length = LENGTH / (edges - 1)
-    decay = LENGTH / WAVES
+    length, decay = LENGTH / (edges - 1), LENGTH / WAVES
     moment = 2 * ALPHA / (decay * np.tan(largest / 2))
     s = (np.arange(edges) - 0.5 * (edges - 1)) * length
     envelope = np.tanh(s / decay) ** 2
