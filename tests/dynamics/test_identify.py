@@ -46,8 +46,6 @@ def test_theta_is_found_from_recordings_without_noise(rng, free_end):
     assert abs(bend["value"] / TRUE.bend - 1) < (0.01 if free_end else 0.03)
 
 
-# --- still frames and motion together ---
-
 LENGTH = TRUE.rest_length.sum()
 EDGES = 12
 
@@ -83,14 +81,6 @@ def test_derivatives_of_the_stills_are_differences(rng):
         assert np.abs(slope - difference).max() <= 1e-4 * np.abs(difference).max()
 
 
-def noisy(rng, count: int, noise: float) -> RecordedMotion:
-    """Recordings of the rod TRUE with noise at all that is predicted."""
-    motion = rolled_out(rng, count)
-    positions = motion.positions.copy()
-    positions[:, 2:, 2:-2] += noise * rng.normal(size=positions[:, 2:, 2:-2].shape)
-    return RecordedMotion.of(positions, RATE)
-
-
 @pytest.mark.thorough
 def test_still_frames_narrow_the_intervals(rng):
     """Four recordings of 1 mm noise alone, and with twelve still frames of 0.05 mm noise, three times; the truth is inside."""
@@ -98,7 +88,9 @@ def test_still_frames_narrow_the_intervals(rng):
     options = replace(OPTIONS, fitted=("bend_damping", "drag", "twist_ratio"))
     narrower, inside = [], []
     for _ in range(3):
-        motion, seen = noisy(rng, 4, 1.0), at_rest(rng, 12, 0.05)
+        positions = rolled_out(rng, 4).positions
+        positions[:, 2:, 2:-2] += rng.normal(size=positions[:, 2:, 2:-2].shape)  # mm, at all that is predicted
+        motion, seen = RecordedMotion.of(positions, RATE), at_rest(rng, 12, 0.05)
         alone = identify(motion, begin, options)
         together = identify(motion, begin, options, stills=[Stills.of(seen, TRUE.reference, LENGTH)])
         assert together.still_error.shape == (12,) and together.still_error.max() < 0.15
