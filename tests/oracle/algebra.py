@@ -4,7 +4,6 @@ A number is a + b ε₁ + c ε₂ + d ε₁ε₂ with ε₁² = ε₂² = 0. See
 b = ∂f/∂x_k, c = ∂f/∂x_l and d = ∂²f/∂x_k∂x_l. The four parts are arrays, so one evaluation yields a whole Hessian.
 
 Vectors and quaternions as plain sequences of numbers, so that floats, complex and hyper-dual numbers all pass.
-
 No conjugation anywhere: with complex entries the functions are analytic, as complex-step derivatives need.
 """
 
@@ -22,8 +21,8 @@ class HyperDual:
 
     def compose(self, value, slope, curvature):
         """g(self), from g, g' and g'' at ``self.value``."""
-        mixed = slope * self.mixed + curvature * self.first * self.second
-        return HyperDual(value, slope * self.first, slope * self.second, mixed)
+        return HyperDual(value, slope * self.first, slope * self.second,
+                         slope * self.mixed + curvature * self.first * self.second)
 
     def __neg__(self):
         return HyperDual(-self.value, -self.first, -self.second, -self.mixed)

@@ -14,8 +14,9 @@ import numpy as np
 from scipy.linalg import null_space
 
 from doo_ti import Clamps, Configuration, Material
-from tests.oracle.chain_form import Rod, chain_derivatives, chain_energy, closure_gradient, linear_derivatives, rod_of
+from tests.oracle.chain_form import Rod, chain_derivatives, chain_energy, linear_derivatives, rod_of
 from tests.oracle.equilibrium import Ends, State, clamped_start, free_variables, moved, vertices_of
+from tests.oracle.pair import linear_gradient_hessian
 
 
 @dataclass(frozen=True)
@@ -36,23 +37,18 @@ class Springs:
         """None on any vertex, beside forces."""
         return cls(np.zeros((rod.edges + 1, 3, 3)), np.zeros((rod.edges + 1, 3)), force)
 
-    def energy(self, vertices: np.ndarray) -> float:
-        """Σ ½ r·K r − f·x."""
-        off = vertices - self.target
-        return 0.5 * np.einsum("ia,iab,ib", off, self.stiffness, off) - (self.force * vertices).sum()
-
-    def vertex_gradient(self, vertices: np.ndarray) -> np.ndarray:
-        """(V, 3) γ_i = ∂/∂x_i."""
-        return np.einsum("iab,ib->ia", self.stiffness, vertices - self.target) - self.force
-
 
 def total_energy(rod: Rod, springs: Springs, state: State):
-    return sum(chain_energy(rod, state.start, state.quaternions)) + springs.energy(vertices_of(rod, state))
+    vertices = vertices_of(rod, state)
+    off = vertices - springs.target
+    pulled = 0.5 * np.einsum("ia,iab,ib", off, springs.stiffness, off) - (springs.force * vertices).sum()
+    return sum(chain_energy(rod, state.start, state.quaternions)) + pulled
 
 
 def vertex_jacobian(rod: Rod, quaternions: np.ndarray) -> np.ndarray:
     """(V, 3, 3 + 3E) derivative of the vertices in (dx_0, w_0, …): frame j moves all vertices behind it."""
-    per_edge = closure_gradient(rod, quaternions)
+    # Row k of Σ l t from the linear potential with force e_k.
+    per_edge = linear_gradient_hessian(np.eye(3)[:, None], quaternions, rod.rest_length)[0].reshape(3, -1)
     jacobian = np.zeros((rod.edges + 1, 3, 3 + 3 * rod.edges))
     jacobian[:, :, :3] = np.eye(3)
     for i in range(1, rod.edges + 1):
@@ -63,7 +59,7 @@ def vertex_jacobian(rod: Rod, quaternions: np.ndarray) -> np.ndarray:
 def total_derivatives(rod: Rod, springs: Springs, state: State) -> tuple[np.ndarray, np.ndarray]:
     """(3 + 3E,) gradient and (3 + 3E, 3 + 3E) Hessian of :func:`total_energy` in all of (dx_0, w_0, …, w_{E−1})."""
     vertices, jacobian = vertices_of(rod, state), vertex_jacobian(rod, state.quaternions)
-    pull = springs.vertex_gradient(vertices)
+    pull = np.einsum("iab,ib->ia", springs.stiffness, vertices - springs.target) - springs.force  # γ_i
     gradient = np.einsum("ia,iak->k", pull, jacobian)
     hessian = np.einsum("iak,iab,ibl->kl", jacobian, springs.stiffness, jacobian, optimize=True)
     # The rotation of an edge moves the rod beyond it along an arc: p_j = Σ_{i>j} γ_i, a linear potential on edge j.

@@ -25,10 +25,7 @@ def quadratic(bend, offset):
 
 
 def pair_parts(q0, q1, l0, l1, bend0, bend1, twist, rest):
-    """Bend and twist energy of a pair, from two quaternions given as lists of four numbers.
-
-    l0, l1, twist (...,); bend0, bend1 (..., 2, 2); rest (..., 2) in 1/mm.
-    """
+    """Bend and twist energy of pairs of quaternions, four numbers each; lengths, twist (...,), B (..., 2, 2), ω̄ (..., 2)."""
     omega0, omega1, turn = strains(q0, q1)
     length = l0 + l1
     bending = sum(quadratic(bend, [omega[k] - rest[..., k] * length / 2.0 for k in range(2)]) / (2.0 * length)

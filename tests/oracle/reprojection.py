@@ -90,11 +90,9 @@ def rod_energy(vertices: np.ndarray, alpha: float, mu: float, up: np.ndarray) ->
     edges = np.diff(vertices, axis=0)
     lengths = np.linalg.norm(edges, axis=1)
     around = np.concatenate([lengths[:1], lengths[:-1] + lengths[1:], lengths[-1:]])
-    bend = 0.0
-    for before, after, both in zip(edges[:-1], edges[1:], around[1:-1]):
-        binormal = 2 * np.cross(before, after) / (np.linalg.norm(before) * np.linalg.norm(after) + before @ after)
-        bend += alpha * binormal @ binormal / both
-    return bend + mu * float(around @ (vertices @ up))
+    scale = lengths[:-1] * lengths[1:] + np.sum(edges[:-1] * edges[1:], axis=1)
+    binormals = 2 * np.cross(edges[:-1], edges[1:]) / scale[:, None]
+    return alpha * float(np.sum(binormals**2, axis=1) @ (1 / around[1:-1])) + mu * float(around @ (vertices @ up))
 
 
 def polyline_distance(pixels: np.ndarray, line: np.ndarray) -> np.ndarray:

@@ -11,11 +11,6 @@ def curvature_binormal(edge_before, edge_after):
     return scale(2.0 / (lengths + dot(edge_before, edge_after)), cross(edge_before, edge_after))
 
 
-def material_curvature(binormal, m1, m2):
-    """ω_i^j = (κb·m2^j, −κb·m1^j)."""
-    return [dot(binormal, m2), -dot(binormal, m1)]
-
-
 def twist_angles(tangents, m1):
     """θ^j of each edge against Bishop frames u^j = P_j(u^{j−1}) that start at u^0 = m1^0: a list of E numbers."""
     bishop, angles = m1[0], []
@@ -24,11 +19,6 @@ def twist_angles(tangents, m1):
             bishop = transport(tangents[j - 1], tangent, bishop)
         angles.append(angle(dot(m1[j], cross(tangent, bishop)), dot(m1[j], bishop)))
     return angles
-
-
-def wrapped(number):
-    """A difference of angles brought to (−π, π]: joint twist is known modulo a turn only."""
-    return number - 2.0 * np.pi * np.ceil((real(number) - np.pi) / (2.0 * np.pi))
 
 
 def vertex_energy(vertices, m1, m2, rest_length, bend, twist, weight, rest_curvature, up):
@@ -46,11 +36,12 @@ def vertex_energy(vertices, m1, m2, rest_length, bend, twist, weight, rest_curva
         length = rest_length[i - 1] + rest_length[i]
         binormal = curvature_binormal(edges[i - 1], edges[i])
         for j in (i - 1, i):
-            omega = material_curvature(binormal, m1[j], m2[j])
+            omega = [dot(binormal, m2[j]), -dot(binormal, m1[j])]
             omega = [omega[k] - rest_curvature[i - 1][k] * length / 2.0 for k in range(2)]
             form = sum(bend[j][a][b] * omega[a] * omega[b] for a in range(2) for b in range(2))
             bending = bending + form / (2 * length)
-        turn = wrapped(angles[i] - angles[i - 1])
+        turn = angles[i] - angles[i - 1]
+        turn = turn - 2.0 * np.pi * np.ceil((real(turn) - np.pi) / (2.0 * np.pi))  # to (−π, π]: known modulo a turn only
         twisting = twisting + twist[i - 1] * turn * turn / length
     for i in range(count + 1):
         length = (rest_length[i - 1] if i > 0 else 0.0) + (rest_length[i] if i < count else 0.0)
