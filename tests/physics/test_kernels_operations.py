@@ -1,5 +1,4 @@
-"""The larger of two numbers, the largest lane of a pack, and literals in its precision; M = L D Lᵀ of symmetric 3×3 matrices,
-by products and pivot by pivot."""
+"""The larger of two numbers, the largest lane of a pack, literals, and M = L D Lᵀ of symmetric 3×3 matrices."""
 
 import numpy as np
 import pytest

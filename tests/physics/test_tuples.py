@@ -1,5 +1,4 @@
-"""What of tuples may be assigned again, on every kind of number. Scratch memory by name: the same numbers for all lanes, for
-one lane, by name and by place."""
+"""What of tuples may be assigned again, on every kind of number; scratch memory by name and by place."""
 
 import numpy as np
 import pytest

@@ -50,7 +50,6 @@ def test_drooping_cantilever_converges_to_the_elastica(ratio):
 
 
 def test_certificate_flips_at_greenhills_column():
-    """A standing column is always in equilibrium; its certificate turns at wL³/EI = 7.837, to second order."""
     threshold = (1.5 * brentq(lambda x: jv(-1 / 3, x), 1.5, 2.2)) ** 2
     assert threshold == pytest.approx(7.8373, abs=1e-4)
     edges, errors = [10, 20, 40], []

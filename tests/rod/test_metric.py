@@ -33,7 +33,6 @@ def beside(rods: Configuration, observations: Observations, index, weight: float
 
 
 def test_missing_marks_are_left_out(rng):
-    """The sum runs over the valid marks, divided by their number less one; what a missing one holds does not count."""
     valid = rng.random((COUNT, EDGES + 1)) < 0.6
     valid[:, :2] = True
     vertices = wavy_vertices(rng, COUNT, EDGES + 1)
@@ -47,7 +46,6 @@ def test_missing_marks_are_left_out(rng):
 
 
 def test_many_rods_of_few_observations(rng):
-    """Any rod may belong to any observation, and has its own rest lengths."""
     rods, observations = wandering(rng, 40, EDGES, rng.uniform(2, 4, EDGES)), observed(rng)
     index = rng.integers(0, COUNT, 40)
     found = distance(rods, observations, index, 2.0)
@@ -57,7 +55,6 @@ def test_many_rods_of_few_observations(rng):
 
 
 def test_rods_that_came_to_nothing_have_no_distance(rng):
-    """NaN for them alone, as relax returns frames that are NaN."""
     rods = wandering(rng, COUNT, EDGES)
     rods.quaternions[3] = np.nan
     found = distance(rods, observed(rng), frame_weight=1.0)

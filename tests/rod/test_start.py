@@ -9,14 +9,14 @@ from tests.conftest import check_refused
 from tests.io.rods import joint_twist, twisted_frames, wavy_vertices
 
 
-def twisted(rng, turns: float = 2.0, hint: bool = True, **extra) -> tuple[Observations, np.ndarray]:
+def twisted(rng, turns: float = 2.0, hint: bool = True) -> tuple[Observations, np.ndarray]:
     """Observations whose end frames come from rods of known total twist, exact edge lengths, and that twist (D,)."""
     vertices = wavy_vertices(rng, count=6, marks=12)
     twist = rng.uniform(-turns, turns, 6) * 2 * np.pi
     frames = twisted_frames(vertices, twist, rng)
     off = 0.97 * np.pi * rng.uniform(-1, 1, 6)  # what a hint may be wrong by
     return Observations(vertices, start_frame=frames[:, 0], end_frame=frames[:, -1],
-                        total_twist=twist + off if hint else None, **extra), twist
+                        total_twist=twist + off if hint else None), twist
 
 
 def test_start_repeats_exact_vertices_frames_and_twist(rng):
@@ -25,8 +25,8 @@ def test_start_repeats_exact_vertices_frames_and_twist(rng):
         clamps = observation_clamps(observations)
         start = start_configuration(observations, clamps)
         np.testing.assert_allclose(start.vertices, observations.vertices, atol=1e-12)
-        np.testing.assert_allclose(start.frames[:, 0], observations.start_frame, atol=1e-12)
-        np.testing.assert_allclose(start.frames[:, -1], observations.end_frame, atol=1e-12)
+        ends = np.stack([observations.start_frame, observations.end_frame], axis=1)
+        np.testing.assert_allclose(start.frames[:, [0, -1]], ends, atol=1e-12)
         joints = joint_twist(start.quaternions)
         np.testing.assert_allclose(joints.sum(axis=1), twist, atol=1e-11)
         spread = observations.rest_length[:-1] + observations.rest_length[1:]
@@ -51,7 +51,6 @@ def test_without_a_hint_three_turns_are_hypotheses(rng):
     (Clamp.TANGENT, Clamp.FRAME, False), (Clamp.FRAME, Clamp.TANGENT, False), (Clamp.FRAME, Clamp.TANGENT, True),
     (Clamp.POSITION, Clamp.FREE, False), (Clamp.FREE, Clamp.FRAME, False)])
 def test_a_spin_free_end_leaves_no_twist(rng, start, end, hint):
-    """Whatever a hint says."""
     observations, twist = twisted(rng, hint=hint)
     assert np.abs(twist).max() > 1
     clamps = observation_clamps(observations, start, end)
