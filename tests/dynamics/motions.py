@@ -16,7 +16,6 @@ def planar(angles, length: float, start=(0.0, 0.0, 0.0)) -> Configuration:
 
 
 def resting(rods: Configuration, start: Clamp, end: Clamp, instants: int) -> Grippers:
-    """Grippers that hold the ends where they are."""
     return Grippers.resting(clamps_at(rods, start, end), instants)
 
 

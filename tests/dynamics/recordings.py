@@ -46,8 +46,7 @@ def gripper_paths(rng, count: int, frames: int, last: np.ndarray) -> tuple[np.nd
 
 
 def recorded(rng, theta: MotionTheta, count: int, frames: int, noise: float) -> np.ndarray:
-    """(count, frames, V, 3) mm what markers show of rods that move under ``theta``, first edges along x at first, held by both
-    whole end frames, planar and so without twist."""
+    """(count, frames, V, 3) mm what markers show of rods under ``theta``, held by both end frames, planar at first."""
     lengths, total = theta.rest_length, SETTLING + frames
     slopes = np.linspace(-1.0, 1.0, len(lengths)) * 1.6
     slopes[[0, -1]] = 0.0

@@ -30,14 +30,19 @@ def moved(rods, grippers, **stepping):
     return simulate(rods, MATERIAL, grippers, DYNAMICS, Stepping(RATE, **stepping))
 
 
-def test_a_rod_moves_alone_as_among_others(rng):
+@pytest.mark.parametrize("tolerance", [None, pytest.param(0.1, marks=pytest.mark.thorough)])
+def test_a_rod_moves_and_is_refined_alone_as_among_others(rng, tolerance):
     rods, grippers = swung(rng, 40)
-    together = moved(rods, grippers)
+    together = moved(rods, grippers, tolerance=tolerance)
     assert together.converged.all()
     for order in (rng.permutation(40), [7]):
-        elsewhere = moved(rods.take(order), grippers.take(order))
-        for name in ("positions", "status", "iterations", "residual", "end_force"):
+        elsewhere = moved(rods.take(order), grippers.take(order), tolerance=tolerance)
+        for name in ("positions", "status", "iterations", "residual", "end_force", "substeps", "error"):
             np.testing.assert_array_equal(getattr(elsewhere, name), getattr(together, name)[order])
+    for steps in np.unique(together.substeps):
+        chosen, fixed = together.substeps == steps, moved(rods, grippers, substeps=int(steps))
+        np.testing.assert_array_equal(together.positions[chosen], fixed.positions[chosen])
+        np.testing.assert_array_equal(together.memory.places[chosen], fixed.memory.places[chosen])
 
 
 @pytest.mark.thorough
@@ -68,7 +73,6 @@ def test_steps_between_instants_are_steps_of_refined_grippers(rng):
 
 @pytest.mark.parametrize("tolerance", [None, pytest.param(0.1, marks=pytest.mark.thorough)])
 def test_pairs_springs_and_detail_go_with_their_rods(rng, tolerance):
-    """With fixed substeps, and as many as each rod needs."""
     rods, grippers = swung(rng, 3)
     material, dynamics = Material([3e4, 6e4], [2e4, 4e4]), Dynamics(drag=[1.0, 2.0], density=[1.0, 1.5])
     pairs = np.array([0, 2, 2, 1]), np.array([1, 0, 1, 0])
@@ -98,20 +102,6 @@ def test_the_estimated_error_holds_against_much_finer_steps(rng, scheme):
     error = np.linalg.norm(found.positions - finest.positions, axis=-1).max(axis=(1, 2))
     assert found.converged.all() and (found.error <= tolerance).all() and (error < 1.1 * found.error).all()
     assert len(np.unique(found.substeps)) > 1
-
-
-@pytest.mark.thorough
-def test_a_rod_is_refined_alone_as_among_others(rng):
-    rods, grippers = swung(rng, 12)
-    together = moved(rods, grippers, tolerance=0.1)
-    alone = moved(rods.take([7]), grippers.take([7]), tolerance=0.1)
-    for name in ("positions", "status", "iterations", "residual", "end_force", "substeps", "error"):
-        np.testing.assert_array_equal(getattr(alone, name)[0], getattr(together, name)[7])
-    for steps in np.unique(together.substeps):
-        chosen = together.substeps == steps
-        fixed = moved(rods, grippers, substeps=int(steps))
-        np.testing.assert_array_equal(together.positions[chosen], fixed.positions[chosen])
-        np.testing.assert_array_equal(together.memory.places[chosen], fixed.memory.places[chosen])
 
 
 @pytest.mark.thorough

@@ -13,7 +13,6 @@ REFERENCE, LENGTHS = np.array([0.0, 0.0, 1.0]), np.full(7, 40.0)
 
 
 def laid_out(positions, **options):
-    """The rollouts of recordings of a rod with such edges."""
     return lay_out(RecordedMotion.of(positions, RATE), LENGTHS, REFERENCE, **options)
 
 
@@ -105,8 +104,7 @@ def test_files_and_gaps(rng, tmp_path):
     check_refused(": ", RecordedMotion.load, path)
     filled = RecordedMotion.load(path, fill_gaps=True)
     assert filled.names == ("a", "b") and filled.rate == RATE
-    middle = (positions[1, 9, 3] + positions[1, 11, 3]) / 2
-    np.testing.assert_allclose(filled.positions[1, 10, 3], middle, atol=1e-9)
+    np.testing.assert_allclose(filled.positions[1, 10, 3], positions[1, [9, 11], 3].mean(axis=0), atol=1e-9)
     np.savez(path, positions_mm=positions)
     check_refused(": ", RecordedMotion.load, path)
     np.savez(path, positions_mm=positions[0], rate_hz=RATE)
@@ -130,12 +128,10 @@ def test_grippers_that_start_and_stop_at_once_are_no_jumps():
     positions[..., 1] += 20.0 * np.clip(np.arange(40) - 10, 0, 15)[None, :, None]
     assert (elapsed_steps(positions[:, :, GRIPPED]) == 1).all()
     shortened = np.delete(positions, [14, 15, 16], axis=1)
-    np.testing.assert_array_equal(np.argwhere(elapsed_steps(shortened[:, :, GRIPPED]) > 1), [[0, 14]])
-    assert elapsed_steps(shortened[:, :, GRIPPED])[0, 14] == 4
+    np.testing.assert_array_equal(elapsed_steps(shortened[:, :, GRIPPED])[0], np.where(np.arange(37) == 14, 4, 1))
 
 
 def test_smoothing_keeps_parabolas_and_takes_noise_away(rng):
-    """Of the grippers' ways, of the first places and of the first velocities."""
     times = np.arange(60) / RATE
     rod = carried(rng, 1, 1, 8)[:, 0]
     velocity, acceleration = np.array([300.0, -200.0, 50.0]), np.array([-1800.0, 800.0, 1200.0])

@@ -158,16 +158,13 @@ def dense_motion(rods, material, grippers, dynamics, velocity, springs, row, sch
 
 
 def random_rods(rng, general: bool):
-    """A rod for each pair of KINDS, moving clamps, drag, point masses and springs; general rods are flat, damped and curved at
-    rest."""
+    """A rod for each pair of KINDS under loads of all kinds; general rods are flat, damped and curved at rest."""
     total = len(KINDS)
     rods = wandering(rng, total, EDGES, rng.uniform(2, 5, EDGES), wander=0.25, twist=0.05)
     rods = type(rods)(rods.start, rods.quaternions, rods.rest_length[0])
-    if general:
-        material = Material(definite(rng, total, EDGES, scale=600.0), rng.uniform(300, 900, (total, EDGES - 1)),
-                            rng.uniform(0.5, 1.5, total), 0.02 * rng.normal(size=(total, EDGES - 1, 2)))
-    else:
-        material = Material(rng.uniform(300, 900, total), rng.uniform(300, 900, total), rng.uniform(0.5, 1.5, total))
+    bend = definite(rng, total, EDGES, scale=600.0) if general else rng.uniform(300, 900, total)
+    material = Material(bend, rng.uniform(300, 900, (total, EDGES - 1) if general else total), rng.uniform(0.5, 1.5, total),
+                        0.02 * rng.normal(size=(total, EDGES - 1, 2)) if general else None)
     damping = rng.uniform(0.005, 0.03, (2, total)) * general
     dynamics = Dynamics(
         density=rng.uniform(0.5, 2.0, total), bend_damping=damping[0], twist_damping=damping[1], drag=rng.uniform(0, 5, total),

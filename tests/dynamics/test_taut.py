@@ -1,5 +1,4 @@
-"""Rods whose grippers pull them taut, let them slack again, and pull beyond their length. What a step resolves: forces that
-act on the rod, whatever its inertia and its stiffness; else it says that it does not."""
+"""Rods whose grippers pull them taut and beyond their length; steps resolve all forces, or say that they do not."""
 
 from dataclasses import replace
 
@@ -84,7 +83,6 @@ def test_pulled_beyond_its_length_a_rod_is_infeasible_from_then_on(precision):
 
 
 def test_rods_of_a_batch_are_judged_by_their_own_grippers():
-    """Taut, slack, and beyond its length, beside each other as alone."""
     every = [along(Clamp.FRAME, Clamp.FRAME, slack) for slack in (ways(0.0, 30.0), ways(30.0, 60.0), ways(0.0, -10.0))]
     both = Grippers(Clamp.FRAME, Clamp.FRAME, *(np.concatenate([getattr(one, name) for one in every]) for name in (
         "start_position", "end_position", "start_frame", "end_frame")))
@@ -144,7 +142,6 @@ ASIDE = np.radians(60.0)  # of a rod that is let go, from hanging straight down
 
 
 def aside(length: float, edges: int) -> Configuration:
-    """A straight rod that is let go."""
     return planar(np.full(edges, ASIDE - np.pi / 2), length / edges)
 
 
