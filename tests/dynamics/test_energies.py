@@ -45,7 +45,8 @@ def test_energy_losses_and_work_balance(rng, start, end, scheme, order):
     rods = at_rest(rng, CURVED, start, end)
     left = []
     for substeps in (8, 16):
-        found = simulate(rods, CURVED, shaken(rods, start, end), LOSSES, Stepping(RATE, substeps, scheme, detailed=True))
+        stepping = Stepping(RATE, substeps, scheme, detailed=True)
+        found = simulate(rods, CURVED, shaken(rods, start, end), LOSSES, stepping)
         fine = found.detail.energies
         assert found.converged.all()
         left.append(np.abs(fine["unaccounted"]).max(axis=1) / np.abs(fine["work"]).max(axis=1))

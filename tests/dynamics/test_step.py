@@ -60,7 +60,7 @@ def damping_derivatives(body, q: np.ndarray, previous: np.ndarray, rate: float) 
     return assembled(*gradient_and_hessian(energy, (rod.edges - 1,), 6))
 
 
-def step(body, last: Instant, before: Instant, clamps: Clamps, index: int, h: float, scheme: str) -> tuple[Instant, np.ndarray]:
+def step(body, last: Instant, before: Instant, clamps: Clamps, index: int, h: float, scheme: str) -> tuple:
     """(the rod a step after ``last``, force (3,) of the far clamp on it), its ends held by row ``index`` of ``clamps``."""
     rod, (c0, c1, c2) = body.rod, COEFFICIENTS[scheme]
     guess = Configuration(np.array([last.x[0]]), np.array([last.q]), rod.rest_length)

@@ -64,7 +64,8 @@ def test_the_energy_grows_by_the_loads_times_the_ways(rng, case):
     """By every coordinate of both poses, for every pair of clamps, and so all forces together carry weight and loads."""
     solution, moved = held_rods(rng, case)
     loads = end_loads(solution)
-    work, rows = np.concatenate([getattr(loads, name) for name in LOADS], axis=1), solution.converged & solution.stable
+    work = np.concatenate([getattr(loads, name) for name in LOADS], axis=1)
+    rows = solution.converged & solution.stable
     for column, name in enumerate(gripper_jacobian(solution).columns):
         step = 1e-4 if "shift" in name else 1e-5
         slope = (moved(name, step).energy - moved(name, -step).energy) / (2 * step)

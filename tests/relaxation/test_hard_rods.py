@@ -1,12 +1,12 @@
 """Rods that are difficult for a solver, always the same ones: every status is right; of a thousand nearly all converge."""
 
 from dataclasses import replace
-from functools import cache, partial
+from functools import partial
 
 import numpy as np
 import pytest
 
-from doo_ti import Clamp, Clamps, Configuration, Material, Solution, Status, relax
+from doo_ti import Clamp, Clamps, Configuration, Material, Status, relax
 from doo_ti.lab.workload import BEND_RANGE, TWIST_RATIO_RANGE, log_uniform
 from doo_ti.relaxation.newton import TOLERANCES
 from doo_ti.rod.frames import unit_vectors
@@ -100,23 +100,14 @@ ROWS = {
     "positions only": partial(held, start=Clamp.POSITION, end=Clamp.POSITION)}
 
 
-def rods_of(row: str, count: int) -> Rods:
-    return ROWS[row](np.random.default_rng(SEED), count)
-
-
-COUNT = 8
 every_row = pytest.mark.parametrize("row", ROWS)
-
-
-@cache
-def relaxed(row: str, precision: str) -> Solution:
-    return relax(*rods_of(row, COUNT), precision=precision)
 
 
 @pytest.mark.parametrize("precision", ["f32", "mixed", "f64"])
 @every_row
 def test_every_status_is_right(row, precision):
-    solution, clamps = relaxed(row, precision), rods_of(row, COUNT)[2]
+    rods, material, clamps = ROWS[row](np.random.default_rng(SEED), 8)
+    solution = relax(rods, material, clamps, precision=precision)
     assert np.isin(solution.status, list(Status)).all() and np.isin(solution.precision, (32, 64)).all()
     assert (solution.status != Status.INFEASIBLE).all()
     sound, done = solution.status != Status.NOT_FINITE, solution.converged
@@ -142,5 +133,5 @@ def test_every_status_is_right(row, precision):
 @pytest.mark.slow
 @every_row
 def test_mixed_converges_on_99_percent_of_a_thousand(row):
-    solution = relax(*rods_of(row, 1000), precision="mixed")
+    solution = relax(*ROWS[row](np.random.default_rng(SEED), 1000), precision="mixed")
     assert solution.converged[solution.status != Status.INFEASIBLE].mean() >= 0.99

@@ -44,7 +44,7 @@ def test_it_is_the_dense_bordered_system_s(rng, kind):
             free = free[free != 3]  # the first spin is held
         closed = ends.end != Clamp.FREE
         vertices, rotations = dense_sensitivity(rod, solution.configuration.quaternions[row], free, closed, EVERY)
-        if (pair := PAIRS[row]) in PENDULUMS:  # it rotates about the vertical at constant energy: its angle is not determined
+        if (pair := PAIRS[row]) in PENDULUMS:  # its angle about the vertical is not determined
             swing = np.einsum("ekd,k->ed", solution.configuration.frames[row], UP / np.linalg.norm(UP))
             share = np.einsum("ed,edp->p", swing, found.rotations[row] - rotations) / (swing**2).sum()
             assert relative_errors(found.rotations[row] - swing[..., None] * share, rotations).max() < 1e-6, pair
@@ -82,7 +82,8 @@ def test_rods_without_an_equilibrium_have_none(rng):
 
 
 def test_a_rod_is_the_same_in_any_company(rng):
-    rods, cotangent, material = wandering(rng, 30, 12), rng.normal(size=(30, 13, 3)), Material(np.geomspace(1e5, 3e5, 30), 1e5)
+    rods, cotangent = wandering(rng, 30, 12), rng.normal(size=(30, 13, 3))
+    material = Material(np.geomspace(1e5, 3e5, 30), 1e5)
     solution, alone = (relax(own, material.take(rows), clamps_at(own)) for own, rows in (
         (rods, range(30)), (rods.take([7]), [7])))
     np.testing.assert_array_equal(sensitivity(solution).vertices[7], sensitivity(alone).vertices[0])

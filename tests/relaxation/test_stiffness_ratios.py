@@ -84,7 +84,8 @@ SAME = 2e-4  # of the length
 def sized(rods: Configuration, clamps: Clamps, size: float) -> tuple[Configuration, Clamps]:
     """The same rods and clamps with all lengths times ``size``."""
     grown = Configuration(rods.start * size, rods.quaternions, rods.rest_length * size)
-    return grown, replace(clamps, start_position=clamps.start_position * size, end_position=clamps.end_position * size)
+    ends = {name: getattr(clamps, name) * size for name in ("start_position", "end_position")}
+    return grown, replace(clamps, **ends)
 
 
 def problem(rng):
