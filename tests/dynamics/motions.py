@@ -12,12 +12,10 @@ MASS_PER_LENGTH = 2.0 / GRAVITY  # of a rod of density 1
 
 def planar(angles, length: float, start=(0.0, 0.0, 0.0)) -> Configuration:
     """A rod in the plane of x and z whose edges, of ``length``, rise from x by ``angles`` (E,)."""
-    tangents = np.stack([np.cos(angles), np.zeros(len(angles)), np.sin(angles)], axis=-1)
-    return chain(tangents, [0.0, 1.0, 0.0], length, start)
+    return chain(np.stack([np.cos(angles), 0 * angles, np.sin(angles)], axis=-1), [0.0, 1.0, 0.0], length, start)
 
 
 def resting(rods: Configuration, start: Clamp, end: Clamp, instants: int) -> Grippers:
-    """Grippers that hold the ends where they are."""
     return Grippers.resting(clamps_at(rods, start, end), instants)
 
 
@@ -53,9 +51,8 @@ def swinging_chain(angles, length: float, bend: float, times) -> np.ndarray:
     found = solve_ivp(rates, (0.0, times[-1]), np.concatenate([angles, np.zeros(edges)]), "DOP853", times, rtol=1e-12,
                       atol=1e-13)
     a = found.y[:edges].T
-    places = np.zeros((len(times), edges + 1, 3))
-    places[:, 1:, 0], places[:, 1:, 2] = np.cumsum(length * np.cos(a), axis=1), np.cumsum(length * np.sin(a), axis=1)
-    return places
+    places = np.cumsum(length * np.stack([np.cos(a), 0 * a, np.sin(a)], axis=-1), axis=1)
+    return np.pad(places, ((0, 0), (1, 0), (0, 0)))
 
 
 def oscillation(values: np.ndarray, interval: float) -> float:
@@ -68,8 +65,7 @@ def oscillation(values: np.ndarray, interval: float) -> float:
 def clamped_mode(k: int, places: np.ndarray) -> tuple[float, np.ndarray]:
     """(βL, slopes at ``places`` in [0, 1]) of mode ``k`` of a cantilever, of unit length."""
     root = (1.87510407, 4.69409113, 7.85475744)[k]
-    ratio = (np.sinh(root) - np.sin(root)) / (np.cosh(root) + np.cos(root))
-    at = root * places
+    at, ratio = root * places, (np.sinh(root) - np.sin(root)) / (np.cosh(root) + np.cos(root))
     return root, root * (np.sinh(at) + np.sin(at) - ratio * (np.cosh(at) - np.cos(at))) / 2.0
 
 

@@ -42,22 +42,19 @@ def gripper_paths(rng, count: int, frames: int, last: np.ndarray) -> tuple[np.nd
     for place in (np.zeros(3), last):
         turn = Rotation.from_rotvec(swing(0.25).reshape(-1, 3)).as_matrix().reshape(count, frames, 3, 3)
         ends += [place + together + swing(8.0), turn[..., 0]]
-    return ends[0], ends[1], ends[2], ends[3]
+    return tuple(ends)
 
 
 def recorded(rng, theta: MotionTheta, count: int, frames: int, noise: float) -> np.ndarray:
-    """(count, frames, V, 3) mm what markers show of rods that move under ``theta``, first edges along x at first, held by both
-    whole end frames, planar and so without twist."""
+    """(count, frames, V, 3) mm what markers show of rods under ``theta``, held by both end frames, planar at first."""
     lengths, total = theta.rest_length, SETTLING + frames
     slopes = np.linspace(-1.0, 1.0, len(lengths)) * 1.6
     slopes[[0, -1]] = 0.0
     rods = stacked([chain(np.stack([np.cos(slopes), 0 * slopes, np.sin(slopes)], axis=-1), theta.reference, lengths)] * count)
     rods = type(rods)(rods.start, rods.quaternions, lengths)
     first, first_edge, last, last_edge = gripper_paths(rng, count, total, rods.vertices[0, -1])
-    frames_along = edge_frames(first_edge, np.broadcast_to(theta.reference, (count, 3)))
-    held = edge_frames(last_edge, np.broadcast_to(theta.reference, (count, 3)))
-    grippers = Grippers(Clamp.FRAME, Clamp.FRAME, first, last, frames_along, held)
+    held = (edge_frames(edge, np.broadcast_to(theta.reference, (count, 3))) for edge in (first_edge, last_edge))
     material, dynamics = simulated([theta])
-    found = simulate(rods, material, grippers, dynamics, Stepping(RATE))
+    found = simulate(rods, material, Grippers(Clamp.FRAME, Clamp.FRAME, first, last, *held), dynamics, Stepping(RATE))
     assert found.converged.all()
     return found.positions[:, SETTLING - 1 :] + noise * rng.normal(size=(count, frames, len(lengths) + 1, 3))

@@ -5,8 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from doo_ti import Clamp, Dynamics, Grippers, InputError, Material, Springs, Stepping, simulate
+from doo_ti import Clamp, Dynamics, Grippers, Material, Springs, Stepping, simulate
 from doo_ti.dynamics import simulate as simulation
+from tests.conftest import check_refused
 from tests.dynamics.test_energies import CURVED, at_rest, shaken
 from tests.references.rods import clamps_at
 from tests.relaxation.rods import wandering
@@ -29,16 +30,19 @@ def moved(rods, grippers, **stepping):
     return simulate(rods, MATERIAL, grippers, DYNAMICS, Stepping(RATE, **stepping))
 
 
-def test_a_rod_moves_alone_as_among_others(rng):
+@pytest.mark.parametrize("tolerance", [None, pytest.param(0.1, marks=pytest.mark.thorough)])
+def test_a_rod_moves_and_is_refined_alone_as_among_others(rng, tolerance):
     rods, grippers = swung(rng, 40)
-    together = moved(rods, grippers)
+    together = moved(rods, grippers, tolerance=tolerance)
     assert together.converged.all()
-    order = rng.permutation(40)
-    elsewhere = moved(rods.take(order), grippers.take(order))
-    alone = moved(rods.take([7]), grippers.take([7]))
-    for name in ("positions", "status", "iterations", "residual", "end_force"):
-        np.testing.assert_array_equal(getattr(elsewhere, name), getattr(together, name)[order])
-        np.testing.assert_array_equal(getattr(alone, name)[0], getattr(together, name)[7])
+    for order in (rng.permutation(40), [7]):
+        elsewhere = moved(rods.take(order), grippers.take(order), tolerance=tolerance)
+        for name in ("positions", "status", "iterations", "residual", "end_force", "substeps", "error"):
+            np.testing.assert_array_equal(getattr(elsewhere, name), getattr(together, name)[order])
+    for steps in np.unique(together.substeps):
+        chosen, fixed = together.substeps == steps, moved(rods, grippers, substeps=int(steps))
+        np.testing.assert_array_equal(together.positions[chosen], fixed.positions[chosen])
+        np.testing.assert_array_equal(together.memory.places[chosen], fixed.memory.places[chosen])
 
 
 @pytest.mark.thorough
@@ -54,8 +58,8 @@ def test_launches_continue_one_another(rng, monkeypatch):
     monkeypatch.setattr(simulation, "NUMBERS_AT_ONCE", 1)
     in_parts = simulate(rods, MATERIAL, grippers, dynamics, Stepping(RATE, 2))
     np.testing.assert_array_equal(at_once.converged, np.arange(6) != 2)
-    np.testing.assert_array_equal(in_parts.status, at_once.status)
-    np.testing.assert_array_equal(in_parts.positions, at_once.positions)
+    for name in ("status", "positions"):
+        np.testing.assert_array_equal(getattr(in_parts, name), getattr(at_once, name))
 
 
 def test_steps_between_instants_are_steps_of_refined_grippers(rng):
@@ -69,7 +73,6 @@ def test_steps_between_instants_are_steps_of_refined_grippers(rng):
 
 @pytest.mark.parametrize("tolerance", [None, pytest.param(0.1, marks=pytest.mark.thorough)])
 def test_pairs_springs_and_detail_go_with_their_rods(rng, tolerance):
-    """With fixed substeps, and as many as each rod needs."""
     rods, grippers = swung(rng, 3)
     material, dynamics = Material([3e4, 6e4], [2e4, 4e4]), Dynamics(drag=[1.0, 2.0], density=[1.0, 1.5])
     pairs = np.array([0, 2, 2, 1]), np.array([1, 0, 1, 0])
@@ -88,14 +91,6 @@ def test_pairs_springs_and_detail_go_with_their_rods(rng, tolerance):
             np.testing.assert_array_equal(found.detail.energies[name][k], value[0])
 
 
-# --- substeps as a rod needs them: the estimated error holds, and does not depend on the other rods ---
-
-
-def largest(apart: np.ndarray) -> np.ndarray:
-    """(R,) mm of differences of positions (R, F, V, 3)."""
-    return np.linalg.norm(apart, axis=-1).max(axis=(1, 2))
-
-
 @pytest.mark.sampled(1)
 @pytest.mark.parametrize("scheme", ["bdf2", "euler"])
 def test_the_estimated_error_holds_against_much_finer_steps(rng, scheme):
@@ -104,24 +99,9 @@ def test_the_estimated_error_holds_against_much_finer_steps(rng, scheme):
     finest = simulate(rods, CURVED, grippers, dynamics, Stepping(RATE, 256))
     tolerance = 0.02 if scheme == "bdf2" else 0.2
     found = simulate(rods, CURVED, grippers, dynamics, Stepping(RATE, scheme=scheme, tolerance=tolerance, most_substeps=256))
-    error = largest(found.positions - finest.positions)
-    assert found.converged.all() and (found.error <= tolerance).all()
+    error = np.linalg.norm(found.positions - finest.positions, axis=-1).max(axis=(1, 2))
+    assert found.converged.all() and (found.error <= tolerance).all() and (error < 1.1 * found.error).all()
     assert len(np.unique(found.substeps)) > 1
-    assert (error < 1.1 * found.error).all()
-
-
-@pytest.mark.thorough
-def test_a_rod_is_refined_alone_as_among_others(rng):
-    rods, grippers = swung(rng, 12)
-    together = moved(rods, grippers, tolerance=0.1)
-    alone = moved(rods.take([7]), grippers.take([7]), tolerance=0.1)
-    for name in ("positions", "status", "iterations", "residual", "end_force", "substeps", "error"):
-        np.testing.assert_array_equal(getattr(alone, name)[0], getattr(together, name)[7])
-    for steps in np.unique(together.substeps):
-        chosen = together.substeps == steps
-        fixed = moved(rods, grippers, substeps=int(steps))
-        np.testing.assert_array_equal(together.positions[chosen], fixed.positions[chosen])
-        np.testing.assert_array_equal(together.memory.places[chosen], fixed.memory.places[chosen])
 
 
 @pytest.mark.thorough
@@ -136,5 +116,4 @@ def test_rods_that_fail_or_never_agree_are_reported(rng):
 
 def test_what_cannot_be_is_refused():
     for wrong in ({"tolerance": 0.0}, {"tolerance": np.nan}, {"tolerance": 1.0, "most_substeps": 1}):
-        with pytest.raises(InputError):
-            Stepping(RATE, **wrong)
+        check_refused("tolerance|most_substeps", Stepping, RATE, **wrong)

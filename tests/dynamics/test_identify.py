@@ -46,10 +46,7 @@ def test_theta_is_found_from_recordings_without_noise(rng, free_end):
     assert abs(bend["value"] / TRUE.bend - 1) < (0.01 if free_end else 0.03)
 
 
-# --- still frames and motion together ---
-
-LENGTH = TRUE.rest_length.sum()
-EDGES = 12
+LENGTH, EDGES = TRUE.rest_length.sum(), 12
 
 
 def at_rest(rng, count: int, noise: float) -> Observations:
@@ -59,8 +56,7 @@ def at_rest(rng, count: int, noise: float) -> Observations:
     rods = stacked([chain(np.stack([np.cos(a), np.sin(b), np.sin(a)], axis=-1), TRUE.reference, LENGTH / EDGES)
                     for a, b in zip(slopes, sides, strict=True)])
     seen = Observations(rods.vertices, rest_length=np.full(EDGES, LENGTH / EDGES))
-    stills = Stills.of(seen, TRUE.reference, LENGTH)
-    vertices = stills.rested(TRUE).configuration.vertices
+    vertices = Stills.of(seen, TRUE.reference, LENGTH).rested(TRUE).configuration.vertices
     shaken = noise * rng.normal(size=vertices.shape)
     shaken[:, [0, 1, -2, -1]] = 0.0  # of what is held
     return Observations(vertices + shaken, rest_length=seen.rest_length, sigma=np.array(noise) if noise else None)
@@ -75,20 +71,11 @@ def slopes_and_differences(stills: Stills, theta: MotionTheta, unknowns: Unknown
 
 
 def test_derivatives_of_the_stills_are_differences(rng):
-    """By damping they are zero."""
     stills = Stills.of(at_rest(rng, 3, 0.5), TRUE.reference, LENGTH)
     slopes, differences = slopes_and_differences(stills, TRUE, Unknowns(TRUE, 2, ("bend_damping", "twist_ratio")))
     assert slopes.shape == (7, 3, EDGES + 1, 3) and (slopes[1] == 0).all()
     for slope, difference in zip(slopes, differences, strict=True):
         assert np.abs(slope - difference).max() <= 1e-4 * np.abs(difference).max()
-
-
-def noisy(rng, count: int, noise: float) -> RecordedMotion:
-    """Recordings of the rod TRUE with noise at all that is predicted."""
-    motion = rolled_out(rng, count)
-    positions = motion.positions.copy()
-    positions[:, 2:, 2:-2] += noise * rng.normal(size=positions[:, 2:, 2:-2].shape)
-    return RecordedMotion.of(positions, RATE)
 
 
 @pytest.mark.thorough
@@ -98,7 +85,9 @@ def test_still_frames_narrow_the_intervals(rng):
     options = replace(OPTIONS, fitted=("bend_damping", "drag", "twist_ratio"))
     narrower, inside = [], []
     for _ in range(3):
-        motion, seen = noisy(rng, 4, 1.0), at_rest(rng, 12, 0.05)
+        positions = rolled_out(rng, 4).positions
+        positions[:, 2:, 2:-2] += rng.normal(size=positions[:, 2:, 2:-2].shape)  # mm, at all that is predicted
+        motion, seen = RecordedMotion.of(positions, RATE), at_rest(rng, 12, 0.05)
         alone = identify(motion, begin, options)
         together = identify(motion, begin, options, stills=[Stills.of(seen, TRUE.reference, LENGTH)])
         assert together.still_error.shape == (12,) and together.still_error.max() < 0.15

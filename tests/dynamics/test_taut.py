@@ -1,5 +1,4 @@
-"""Rods whose grippers pull them taut, let them slack again, and pull beyond their length. What a step resolves: forces that
-act on the rod, whatever its inertia and its stiffness; else it says that it does not."""
+"""Rods whose grippers pull them taut and beyond their length; steps resolve all forces, or say that they do not."""
 
 from dataclasses import replace
 
@@ -84,7 +83,6 @@ def test_pulled_beyond_its_length_a_rod_is_infeasible_from_then_on(precision):
 
 
 def test_rods_of_a_batch_are_judged_by_their_own_grippers():
-    """Taut, slack, and beyond its length, beside each other as alone."""
     every = [along(Clamp.FRAME, Clamp.FRAME, slack) for slack in (ways(0.0, 30.0), ways(30.0, 60.0), ways(0.0, -10.0))]
     both = Grippers(Clamp.FRAME, Clamp.FRAME, *(np.concatenate([getattr(one, name) for one in every]) for name in (
         "start_position", "end_position", "start_frame", "end_frame")))
@@ -144,13 +142,19 @@ ASIDE = np.radians(60.0)  # of a rod that is let go, from hanging straight down
 
 
 def aside(length: float, edges: int) -> Configuration:
-    """A straight rod that is let go."""
     return planar(np.full(edges, ASIDE - np.pi / 2), length / edges)
 
 
-def turned(positions: np.ndarray) -> np.ndarray:
-    """(T,) by which the tip of a rod that hangs from the origin has come nearer to hanging, rad."""
-    return ASIDE - np.arctan2(positions[:, -1, 0], -positions[:, -1, 2])
+def let_go(rods: Configuration, bend, steps: int, stepping: Stepping, **dynamics):
+    """The motion of rods that hang from the origin, aside at first."""
+    grippers = resting(rods, Clamp.POSITION, Clamp.FREE, steps + 1)
+    return simulate(rods, Material(bend, bend), grippers, Dynamics(**dynamics), stepping)
+
+
+def over_pendulum(positions: np.ndarray, phase: np.ndarray) -> np.ndarray:
+    """(T,) by which the tip has come nearer to hanging, over what θ̈ = −ω² sin θ says to fourth order in the phases ωt."""
+    expected = 0.5 * np.sin(ASIDE) * phase**2 * (1.0 - np.cos(ASIDE) * phase**2 / 12.0)
+    return (ASIDE - np.arctan2(positions[:, -1, 0], -positions[:, -1, 2])) / expected
 
 
 @pytest.mark.parametrize("ratio, rate", [(1e4, 2000.0), (1e2, 1000.0), (1e4, 100.0), (0.0, 80_000.0)])
@@ -160,16 +164,11 @@ def test_payloads_and_short_steps(ratio, rate):
     length, edges, steps = 1500.0, 30, 40
     mass = np.zeros((1, edges + 1))
     mass[0, -1] = ratio * length
-    grippers = resting(aside(length, edges), Clamp.POSITION, Clamp.FREE, steps + 1)
-    dynamics = Dynamics(point_mass=mass)
-    found = simulate(aside(length, edges), Material(1e5, 1e5), grippers, dynamics, Stepping(rate, scheme="bdf2"))
+    found = let_go(aside(length, edges), 1e5, steps, Stepping(rate, scheme="bdf2"), point_mass=mass)
     assert found.converged.all()
     time = np.arange(1, steps + 1) / rate
     if ratio:
-        rates = np.sqrt(GRAVITY / length)
-        # θ̈ = −ω² sin θ to fourth order in time
-        expected = 0.5 * np.sin(ASIDE) * (rates * time) ** 2 * (1.0 - np.cos(ASIDE) * (rates * time) ** 2 / 12.0)
-        assert np.abs(turned(found.positions[0]) / expected - 1.0)[4:].max() < 0.03
+        assert np.abs(over_pendulum(found.positions[0], np.sqrt(GRAVITY / length) * time) - 1.0)[4:].max() < 0.03
     else:  # its tip falls freely, but for what the next edges hold
         assert np.abs(found.positions[0, :, -1, 2] - found.positions[0, 0, -1, 2]).max() > 0.2 * 0.5 * GRAVITY * time[-1] ** 2
 
@@ -178,24 +177,19 @@ def test_payloads_and_short_steps(ratio, rate):
 def test_a_stiff_rod_falls_as_a_light_pendulum(bend):
     """However small its weight is beside its stiffness: θ̈ = −(3/2) g/L sin θ."""
     length, edges, rate, steps = 300.0, 10, 1000.0, 100
-    grippers = resting(aside(length, edges), Clamp.POSITION, Clamp.FREE, steps + 1)
-    found = simulate(aside(length, edges), Material(bend, bend), grippers, Dynamics(), Stepping(rate))
-    rates = np.sqrt(1.5 * GRAVITY / length / (1.0 + 0.5 / edges**2)) * steps / rate
-    expected = 0.5 * np.sin(ASIDE) * rates**2 * (1.0 - np.cos(ASIDE) * rates**2 / 12.0)
-    assert found.converged.all() and abs(turned(found.positions[0])[-1] / expected - 1.0) < 0.01
+    found = let_go(aside(length, edges), bend, steps, Stepping(rate))
+    phase = np.sqrt(1.5 * GRAVITY / length / (1.0 + 0.5 / edges**2)) * steps / rate
+    assert found.converged.all() and abs(over_pendulum(found.positions[0], phase)[-1] - 1.0) < 0.01
 
 
 @pytest.mark.thorough
 @pytest.mark.parametrize("rate", [2000.0, 300.0, 100.0])
 def test_f32_is_near_f64_or_stalls(rate):
     """Ropes from limp to stiff, side by side as alone; what f32 stops is repeated in f64."""
-    bends = np.logspace(1, 9, 9)
-    steps = int(0.4 * rate)
-    rods = aside(300.0, 10)
-    grippers = resting(rods, Clamp.POSITION, Clamp.FREE, steps + 1)
+    bends, rods = np.logspace(1, 9, 9), aside(300.0, 10)
 
     def moved(precision: str, bend=bends):
-        return simulate(rods, Material(bend, bend), grippers, Dynamics(), Stepping(rate, precision=precision))
+        return let_go(rods, bend, int(0.4 * rate), Stepping(rate, precision=precision))
 
     exact, single, mixed = moved("f64"), moved("f32"), moved("mixed")
     good = single.converged
@@ -214,15 +208,13 @@ def test_a_motion_comes_to_rest_where_the_scaled_solve_does(pose):
     """Rods whose stiffness differs by up to 1e9: there a dense Newton's method in the rotations of joints has nothing
     left to do; or they say that they failed."""
     rod, held = ratios.poses()
-    clamps = held[pose]
+    clamps, edges = held[pose], rod.edges
     begun = relax(rod, Material(ratios.SOFT, ratios.SOFT), clamps).configuration
     cases = [(kind, ratio) for kind in ratios.KINDS for ratio in ratios.RATIOS[::3]]
     materials = [ratios.material(*case) for case in cases]
-    edges = rod.edges
     bend = np.concatenate([np.broadcast_to(one.bend, (1, edges, 2, 2)) for one in materials])
     twist = np.concatenate([np.broadcast_to(one.twist, (1, edges - 1)) for one in materials])
-    still = Grippers.resting(clamps, 61)
-    motion = simulate(begun, Material(bend, twist), still, Dynamics(drag=20.0), Stepping(10.0))
+    motion = simulate(begun, Material(bend, twist), Grippers.resting(clamps, 61), Dynamics(drag=20.0), Stepping(10.0))
     failed = ~motion.converged
     assert np.isnan(motion.positions[failed, -1]).all(), "a rod that failed has no place"
     off = []

@@ -4,7 +4,6 @@ A number is a + b ε₁ + c ε₂ + d ε₁ε₂ with ε₁² = ε₂² = 0. See
 b = ∂f/∂x_k, c = ∂f/∂x_l and d = ∂²f/∂x_k∂x_l. The four parts are arrays, so one evaluation yields a whole Hessian.
 
 Vectors and quaternions as plain sequences of numbers, so that floats, complex and hyper-dual numbers all pass.
-
 No conjugation anywhere: with complex entries the functions are analytic, as complex-step derivatives need.
 """
 
@@ -22,8 +21,8 @@ class HyperDual:
 
     def compose(self, value, slope, curvature):
         """g(self), from g, g' and g'' at ``self.value``."""
-        mixed = slope * self.mixed + curvature * self.first * self.second
-        return HyperDual(value, slope * self.first, slope * self.second, mixed)
+        return HyperDual(value, slope * self.first, slope * self.second,
+                         slope * self.mixed + curvature * self.first * self.second)
 
     def __neg__(self):
         return HyperDual(-self.value, -self.first, -self.second, -self.mixed)
@@ -40,10 +39,6 @@ class HyperDual:
             self.value * o.second + self.second * o.value,
             self.value * o.mixed + self.first * o.second + self.second * o.first + self.mixed * o.value)
 
-    def reciprocal(self):
-        inverse = 1.0 / self.value
-        return self.compose(inverse, -(inverse**2), 2.0 * inverse**3)
-
     def __sub__(self, other):
         return self + (-other)
 
@@ -51,10 +46,11 @@ class HyperDual:
         return (-self) + other
 
     def __truediv__(self, other):
-        return self * (other.reciprocal() if isinstance(other, HyperDual) else 1.0 / other)
+        return self * (1.0 / other)
 
     def __rtruediv__(self, other):
-        return self.reciprocal() * other
+        inverse = 1.0 / self.value
+        return other * self.compose(inverse, -(inverse**2), 2.0 * inverse**3)
 
     __radd__, __rmul__ = __add__, __mul__
 
@@ -63,14 +59,9 @@ def _lift(number) -> HyperDual:
     return number if isinstance(number, HyperDual) else HyperDual(number)
 
 
-def seeds(variables: int, like: int = 0) -> list[HyperDual]:
-    """Zeros with ε₁ on axis −2 and ε₂ on axis −1: ``f(x + seeds)`` then holds the (..., n, n) Hessian.
-
-    ``like`` is the number of batch axes in front.
-    """
-    unit = np.eye(variables)
-    lead = (1,) * like
-    return [HyperDual(0.0, unit[k].reshape(*lead, -1, 1), unit[k].reshape(*lead, 1, -1)) for k in range(variables)]
+def seeds(variables: int) -> list[HyperDual]:
+    """Zeros with ε₁ on axis −2 and ε₂ on axis −1: ``f(x + seeds)`` then holds the (..., n, n) Hessian."""
+    return [HyperDual(0.0, unit[:, None], unit) for unit in np.eye(variables)]
 
 
 def gradient_and_hessian(number: HyperDual, shape: tuple, variables: int) -> tuple[np.ndarray, np.ndarray]:
@@ -133,10 +124,6 @@ def scale(factor, a):
 
 def add(*vectors):
     return [sum(parts) for parts in zip(*vectors, strict=True)]
-
-
-def subtract(a, b):
-    return [x - y for x, y in zip(a, b, strict=True)]
 
 
 def normalise(a):

@@ -36,12 +36,6 @@ class Rod:
         """l̄_i of all V vertices, the ends with their one edge (§III-A)."""
         return np.append(self.rest_length, 0.0) + np.append(0.0, self.rest_length)
 
-    @property
-    def gravity_force(self) -> np.ndarray:
-        """(E, 3) c_j = μ up Σ_{i>j} l̄_i, so that gravity is Σ_j c_j·t_j l_j + μ up·x_0 Σ l̄_i."""
-        above = np.cumsum(self.vertex_length[::-1])[::-1][1:]
-        return self.weight * above[:, None] * self.up
-
 
 def rod_of(configuration: Configuration, material: Material, index=0, up=(0.0, 0.0, 1.0)) -> Rod:
     """Row ``index`` of a configuration table with the same row of the materials, or the only one."""
@@ -71,23 +65,27 @@ def chain_energy(rod: Rod, start, quaternions):
 
 def chain_derivatives(rod: Rod, quaternions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """(3E,) gradient and (3E, 3E) Hessian of E in the body rotations of all edges, start held."""
-    gradient, hessian = np.zeros(3 * rod.edges), np.zeros((3 * rod.edges, 3 * rod.edges))
-    pairs = pair_gradient_hessian(quaternions[:-1], quaternions[1:], rod.rest_length[:-1], rod.rest_length[1:], rod.bend[:-1],
-                                  rod.bend[1:], rod.twist, rod.rest_curvature, rod.turned)
-    for i in range(rod.edges - 1):
-        block = slice(3 * i, 3 * i + 6)
-        gradient[block] += pairs[0][i]
-        hessian[block, block] += pairs[1][i]
-    weight = linear_derivatives(rod, quaternions, rod.gravity_force)
+    gradient, hessian = assembled(*pair_gradient_hessian(
+        quaternions[:-1], quaternions[1:], rod.rest_length[:-1], rod.rest_length[1:], rod.bend[:-1], rod.bend[1:], rod.twist,
+        rod.rest_curvature, rod.turned))
+    above = np.cumsum(rod.vertex_length[::-1])[::-1][1:]
+    # Gravity is Σ_j c_j·t_j l_j + μ up·x_0 Σ l̄_i with c_j = μ up Σ_{i>j} l̄_i.
+    weight = linear_derivatives(rod, quaternions, rod.weight * above[:, None] * rod.up)
     return gradient + weight[0], hessian + weight[1]
+
+
+def assembled(gradients: np.ndarray, hessians: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(3E,) and (3E, 3E) sums over the joints of their (E − 1, 6) gradients and (E − 1, 6, 6) Hessians."""
+    size = 3 * len(gradients) + 3
+    gradient, hessian = np.zeros(size), np.zeros((size, size))
+    for i in range(len(gradients)):
+        block = slice(3 * i, 3 * i + 6)
+        gradient[block] += gradients[i]
+        hessian[block, block] += hessians[i]
+    return gradient, hessian
 
 
 def linear_derivatives(rod: Rod, quaternions: np.ndarray, force: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """(3E,) gradient and (3E, 3E) block-diagonal Hessian of Σ l c·t, force c (3,) or per edge (E, 3)."""
     gradient, blocks = linear_gradient_hessian(force, quaternions, rod.rest_length, rod.turned)
     return gradient.ravel(), block_diag(*blocks)
-
-
-def closure_gradient(rod: Rod, quaternions: np.ndarray) -> np.ndarray:
-    """(3, 3E) derivative of Σ l t in the body rotations: row k from the linear potential with force e_k."""
-    return linear_gradient_hessian(np.eye(3)[:, None], quaternions, rod.rest_length)[0].reshape(3, -1)

@@ -37,14 +37,13 @@ def clamped_start(configuration: Configuration, clamps: Clamps, index: int) -> t
     kinds = [Clamp(int(np.broadcast_to(kind, configuration.count)[index])) for kind in (clamps.start, clamps.end)]
     quaternions = np.array(configuration.quaternions[index], dtype=np.float64)
     for edge, kind, frames in ((0, kinds[0], clamps.start_frame), (-1, kinds[1], clamps.end_frame)):
-        if kind == Clamp.FREE or kind == Clamp.POSITION:
-            continue
         frame = np.array(frames[index], dtype=np.float64)
         if kind == Clamp.TANGENT:
             old = directors(quaternions[edge])
             m1 = np.array(transport(old[0], frame[:, 0], old[1]))
             frame = np.stack([frame[:, 0], m1, np.cross(frame[:, 0], m1)], axis=-1)
-        quaternions[edge] = Rotation.from_matrix(frame).as_quat(scalar_first=True)
+        if kind in (Clamp.TANGENT, Clamp.FRAME):
+            quaternions[edge] = Rotation.from_matrix(frame).as_quat(scalar_first=True)
     start = configuration.start if kinds[0] == Clamp.FREE else clamps.start_position
     held = [None if kind == Clamp.FREE else np.array(position[index], dtype=np.float64)
             for kind, position in zip(kinds, (clamps.start_position, clamps.end_position), strict=True)]

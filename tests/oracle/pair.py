@@ -1,7 +1,4 @@
-"""One pair of neighbouring edges and one edge under a dead force, with exact derivatives in body rotations.
-
-Arrays come and go with any batch axes in front, written `...`; quaternions are (..., 4), scalar first.
-"""
+"""Pairs of neighbouring edges and edges under dead forces, with exact derivatives in body rotations; quaternions (n, 4)."""
 
 import numpy as np
 
@@ -28,10 +25,7 @@ def quadratic(bend, offset):
 
 
 def pair_parts(q0, q1, l0, l1, bend0, bend1, twist, rest):
-    """Bend and twist energy of a pair, from two quaternions given as lists of four numbers.
-
-    l0, l1, twist (...,); bend0, bend1 (..., 2, 2); rest (..., 2) in 1/mm.
-    """
+    """Bend and twist energy of pairs of quaternions, four numbers each; lengths, twist (...,), B (..., 2, 2), ω̄ (..., 2)."""
     omega0, omega1, turn = strains(q0, q1)
     length = l0 + l1
     bending = sum(quadratic(bend, [omega[k] - rest[..., k] * length / 2.0 for k in range(2)]) / (2.0 * length)
@@ -39,40 +33,26 @@ def pair_parts(q0, q1, l0, l1, bend0, bend1, twist, rest):
     return bending, twist * turn * turn / length
 
 
-def _components(quaternion):
-    return [np.asarray(quaternion)[..., k] for k in range(4)]
+def pair_energy(q0, q1, *properties):
+    """(n,) bend plus twist energy of pairs of frames."""
+    return sum(pair_parts(q0.T, q1.T, *properties))
 
 
-def pair_energy(q0, q1, l0, l1, bend0, bend1, twist, rest):
-    """Bend plus twist energy of a pair (...,)."""
-    return sum(pair_parts(_components(q0), _components(q1), l0, l1, bend0, bend1, twist, rest))
+def seeded_pairs(q0, q1, turned):
+    """The frames of n pairs as numbers whose derivatives are those in the body rotations (w0, w1), made by ``turned``."""
+    w = algebra.seeds(6)
+    return [turned(q.T[..., None, None], turn) for q, turn in ((q0, w[:3]), (q1, w[3:]))]
 
 
 def pair_gradient_hessian(q0, q1, l0, l1, bend0, bend1, twist, rest, turned):
-    """(..., 6) gradient and (..., 6, 6) Hessian of :func:`pair_energy` in the body rotations (w0, w1), made by ``turned``."""
-    values = [np.asarray(a, dtype=np.float64) for a in (l0, l1, twist)]
-    shape = np.broadcast_shapes(
-        np.shape(q0)[:-1], np.shape(q1)[:-1], np.shape(bend0)[:-2], np.shape(bend1)[:-2], rest.shape[:-1],
-        *(a.shape for a in values))
-    widen = [np.broadcast_to(a, shape)[..., None, None] for a in values]
-    matrices = [np.broadcast_to(b, (*shape, 2, 2))[..., None, None, :, :] for b in (bend0, bend1)]
-    rests = np.broadcast_to(rest, (*shape, 2))[..., None, None, :]
-    w = algebra.seeds(6, like=len(shape))
-    frames = []
-    for quaternion, rotation in ((q0, w[:3]), (q1, w[3:])):
-        parts = [np.broadcast_to(part, shape)[..., None, None] for part in _components(quaternion)]
-        frames.append(turned(parts, rotation))
-    energy = sum(pair_parts(*frames, widen[0], widen[1], *matrices, widen[2], rests))
-    return algebra.gradient_and_hessian(energy, shape, 6)
+    """(n, 6) gradients and (n, 6, 6) Hessians of :func:`pair_energy`."""
+    properties = [value[:, None, None] for value in (l0, l1, bend0, bend1, twist, rest)]
+    return algebra.gradient_and_hessian(sum(pair_parts(*seeded_pairs(q0, q1, turned), *properties)), twist.shape, 6)
 
 
-def linear_gradient_hessian(force, quaternion, length, turned=algebra.body_rotated):
-    """(..., 3) gradient and (..., 3, 3) Hessian of c·t·l in the body rotation of Q (..., 4), made by ``turned``; c (..., 3),
-    l (...,)."""
-    force, length = np.asarray(force, dtype=np.float64), np.asarray(length, dtype=np.float64)
-    shape = np.broadcast_shapes(force.shape[:-1], np.shape(quaternion)[:-1], length.shape)
-    c = [np.broadcast_to(force[..., k], shape)[..., None, None] for k in range(3)]
-    parts = [np.broadcast_to(part, shape)[..., None, None] for part in _components(quaternion)]
-    tangent = algebra.directors(turned(parts, algebra.seeds(3, like=len(shape))))[0]
-    energy = algebra.dot(c, tangent) * np.broadcast_to(length, shape)[..., None, None]
-    return algebra.gradient_and_hessian(energy, shape, 3)
+def linear_gradient_hessian(force, quaternions, length, turned=algebra.body_rotated):
+    """(..., n, 3) gradients and (..., n, 3, 3) Hessians of c·t·l in the body rotations of n edges, made by ``turned``;
+    c (..., n, 3) or the same for all edges (3,)."""
+    tangent = algebra.directors(turned(quaternions.T[..., None, None], algebra.seeds(3)))[0]
+    energy = algebra.dot(np.moveaxis(force, -1, 0)[..., None, None], tangent) * length[:, None, None]
+    return algebra.gradient_and_hessian(energy, np.broadcast_shapes(force.shape[:-1], length.shape), 3)

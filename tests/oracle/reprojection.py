@@ -39,36 +39,24 @@ def _inside(place, size):
 
 def _spline(t):
     """The quadratic B-spline at −1 − t, −t and 1 − t, from its definition by cases."""
-    return np.array([(1.5 - abs_(u)) ** 2 / 2 if abs_(u).real >= 0.5 else 0.75 - u * u for u in (t + 1, t, t - 1)])
+    distances = (u if u.real >= 0 else -u for u in (t + 1, t, t - 1))
+    return np.array([(1.5 - u) ** 2 / 2 if u.real >= 0.5 else 0.75 - u * u for u in distances])
 
 
-def abs_(value):
-    return value if value.real >= 0 else -value
-
-
-def project(camera, point):
-    """(2,) px of a point (3,), complex or real: radial and tangential distortion as OpenCV has them."""
+def projected(camera, point):
+    """(2,) px of a point (3,), complex or real, with radial and tangential distortion as OpenCV has them; and its (2, 3)
+    derivative, px/mm: analytic, so that a complex step may go through it."""
     seen = camera.rotation @ point + camera.translation
-    x, y = seen[0] / seen[2], seen[1] / seen[2]
+    x, y = seen[:2] / seen[2]
     k1, k2, p1, p2, k3 = camera.distortion
-    square = x * x + y * y
-    radial = 1 + k1 * square + k2 * square**2 + k3 * square**3
-    return np.array([
-        camera.matrix[0, 0] * (x * radial + 2 * p1 * x * y + p2 * (square + 2 * x * x)) + camera.matrix[0, 2],
-        camera.matrix[1, 1] * (y * radial + p1 * (square + 2 * y * y) + 2 * p2 * x * y) + camera.matrix[1, 2]])
-
-
-def jacobian(camera, point):
-    """(2, 3) ∂p/∂x, px/mm: analytic, so that a complex step may go through it."""
-    seen = camera.rotation @ point + camera.translation
-    x, y = seen[0] / seen[2], seen[1] / seen[2]
-    k1, k2, p1, p2, k3 = camera.distortion
-    square = x * x + y * y
+    square, focal = x * x + y * y, np.diag(camera.matrix)[:2]
     radial, growth = 1 + k1 * square + k2 * square**2 + k3 * square**3, 2 * k1 + 4 * k2 * square + 6 * k3 * square**2
+    pixel = focal * [x * radial + 2 * p1 * x * y + p2 * (square + 2 * x * x),
+                     y * radial + p1 * (square + 2 * y * y) + 2 * p2 * x * y] + camera.matrix[:2, 2]
     lens = np.array([[radial + growth * x * x + 2 * p1 * y + 6 * p2 * x, growth * x * y + 2 * p1 * x + 2 * p2 * y],
                      [growth * x * y + 2 * p1 * x + 2 * p2 * y, radial + growth * y * y + 6 * p1 * y + 2 * p2 * x]])
     plane = np.array([[1, 0, -x], [0, 1, -y]]) / seen[2]
-    return np.diag([camera.matrix[0, 0], camera.matrix[1, 1]]) @ lens @ plane @ camera.rotation
+    return pixel, np.diag(focal) @ lens @ plane @ camera.rotation
 
 
 def edge_error(camera, distances: Map, start, end, points: int, cap: float):
@@ -77,33 +65,24 @@ def edge_error(camera, distances: Map, start, end, points: int, cap: float):
     total = 0.0
     for k in range(points):
         point = start + (k + 0.5) / points * (end - start)
-        far = distances.at(project(camera, point)) - 13 / 32  # the mean of |x| over three uniform spreads of a pixel's width
-        motion = jacobian(camera, point) @ (end - start)
+        pixel, slopes = projected(camera, point)
+        far = distances.at(pixel) - 13 / 32  # the mean of |x| over three uniform spreads of a pixel's width
+        motion = slopes @ (end - start)
         total = total + far / np.sqrt(1 + (far / cap) ** 2) * np.sqrt(motion @ motion)
     return total / points
 
 
 def edge_gradient(camera, distances: Map, start, end, points: int, cap: float) -> np.ndarray:
     """(6,) ∂E/∂(start, end), exact."""
-    place = np.concatenate([start, end]).astype(np.complex128)
-    result = np.empty(6)
-    for k in range(6):
-        moved = place.copy()
-        moved[k] += 1j * STEP
-        result[k] = edge_error(camera, distances, moved[:3], moved[3:], points, cap).imag / STEP
-    return result
+    places = np.concatenate([start, end]) + 1j * STEP * np.eye(6)
+    return np.array([edge_error(camera, distances, place[:3], place[3:], points, cap).imag for place in places]) / STEP
 
 
 def edge_hessian(camera, distances: Map, start, end, points: int, cap: float, step: float = 1e-5) -> np.ndarray:
     """(6, 6) second derivatives: central differences of the exact gradient."""
-    place = np.concatenate([start, end])
-    columns = []
-    for k in range(6):
-        move = step * np.eye(6)[k]
-        ahead, behind = place + move, place - move
-        columns.append((edge_gradient(camera, distances, ahead[:3], ahead[3:], points, cap)
-                        - edge_gradient(camera, distances, behind[:3], behind[3:], points, cap)) / (2 * step))
-    return np.stack(columns, axis=1)
+    ahead, behind = ([edge_gradient(camera, distances, place[:3], place[3:], points, cap)
+                      for place in np.concatenate([start, end]) + way * np.eye(6)] for way in (step, -step))
+    return np.transpose(np.subtract(ahead, behind)) / (2 * step)
 
 
 def rod_energy(vertices: np.ndarray, alpha: float, mu: float, up: np.ndarray) -> float:
@@ -111,11 +90,9 @@ def rod_energy(vertices: np.ndarray, alpha: float, mu: float, up: np.ndarray) ->
     edges = np.diff(vertices, axis=0)
     lengths = np.linalg.norm(edges, axis=1)
     around = np.concatenate([lengths[:1], lengths[:-1] + lengths[1:], lengths[-1:]])
-    bend = 0.0
-    for before, after, both in zip(edges[:-1], edges[1:], around[1:-1]):
-        binormal = 2 * np.cross(before, after) / (np.linalg.norm(before) * np.linalg.norm(after) + before @ after)
-        bend += alpha * binormal @ binormal / both
-    return bend + mu * float(around @ (vertices @ up))
+    scale = lengths[:-1] * lengths[1:] + np.sum(edges[:-1] * edges[1:], axis=1)
+    binormals = 2 * np.cross(edges[:-1], edges[1:]) / scale[:, None]
+    return alpha * float(np.sum(binormals**2, axis=1) @ (1 / around[1:-1])) + mu * float(around @ (vertices @ up))
 
 
 def polyline_distance(pixels: np.ndarray, line: np.ndarray) -> np.ndarray:

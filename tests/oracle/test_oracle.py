@@ -21,8 +21,7 @@ def random_rod(rng, edges: int) -> Rod:
 
 
 def random_state(rng, edges: int, bending=0.5) -> State:
-    frames = Rotation.random(random_state=rng)
-    chain = [frames]
+    chain = [Rotation.random(random_state=rng)]
     for _ in range(edges - 1):
         chain.append(chain[-1] * Rotation.from_rotvec(rng.normal(size=3) * bending))
     return State(rng.normal(size=3) * 20, np.array([frame.as_quat(scalar_first=True) for frame in chain]))

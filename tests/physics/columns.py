@@ -5,6 +5,7 @@ import pytest
 import taichi as ti
 
 from doo_ti.physics.number import Number
+from doo_ti.system import runtime
 from tests.vision.device import row_kernel
 
 NUMBERS = [Number(8, 64), Number(16, 32), Number(1, 64), Number(1, 32), Number(8, 32), Number(16, 64)]
@@ -20,6 +21,8 @@ def every_number(test):
 
 def columns_kernel(number: Number, inputs: int, outputs: int, function):
     """A NumPy function that applies ``function``, from a tuple of ``inputs`` numbers to one of ``outputs``, to its rows."""
+    runtime.start()
+    runtime.start()
 
     @ti.func
     def alone(scratch: ti.template(), numbers: ti.template(), values: ti.template()):

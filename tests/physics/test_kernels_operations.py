@@ -1,5 +1,4 @@
-"""The larger of two numbers, the largest lane of a pack, and literals in its precision; M = L D Lᵀ of symmetric 3×3 matrices,
-by products and pivot by pivot."""
+"""The larger of two numbers, the largest lane of a pack, literals, and M = L D Lᵀ of symmetric 3×3 matrices."""
 
 import numpy as np
 import pytest
@@ -7,7 +6,6 @@ import taichi as ti
 
 from doo_ti.physics.algebra import factor, factor_in_turn, larger
 from doo_ti.physics.number import Number
-from doo_ti.system import runtime
 from tests.physics.columns import ROWS, columns_kernel, every_number
 
 LITERALS = (0.1, 1 / 3, 1e-30, 2.0 / 7.0, 1e-13, -0.3)
@@ -16,7 +14,6 @@ LITERALS = (0.1, 1 / 3, 1e-30, 2.0 / 7.0, 1e-13, -0.3)
 @every_number
 def test_the_largest_lane_is_that_of_numbers_and_literals_are_exact(rng, number):
     """The default precision of Taichi is f32: a literal in f64 must not pass through it."""
-    runtime.start()
     lanes, width, scalar = number.lanes(), number.width, number.scalar
 
     @ti.func
@@ -38,8 +35,6 @@ def test_the_largest_lane_is_that_of_numbers_and_literals_are_exact(rng, number)
 
 @every_number
 def test_the_larger_number_is_nan_where_either_is(number):
-    runtime.start()
-
     @ti.func
     def function(v: ti.template()):
         return (larger(v[0], v[1]),)
@@ -61,8 +56,6 @@ def product(f: np.ndarray) -> np.ndarray:
 
 @pytest.mark.parametrize("number", [Number(1, 64), Number(8, 64)], ids=lambda number: f"{number.width} x f{number.bits}")
 def test_both_factor_and_only_the_second_keeps_small_pivots(rng, number):
-    runtime.start()
-
     @ti.func
     def both(v: ti.template()):
         m = (v[0], v[1], v[2], v[3], v[4], v[5])

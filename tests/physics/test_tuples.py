@@ -1,5 +1,4 @@
-"""What of tuples may be assigned again, on every kind of number. Scratch memory by name: the same numbers for all lanes, for
-one lane, by name and by place."""
+"""What of tuples may be assigned again, on every kind of number; scratch memory by name and by place."""
 
 import numpy as np
 import pytest
@@ -15,8 +14,6 @@ from tests.physics.columns import ROWS, columns_kernel, every_number
 @every_number
 def test_a_variable_takes_its_own_items_in_another_order(rng, number):
     """All are read before the first is changed, written out or by a function of the algebra, and in loops."""
-    runtime.start()
-
     @ti.func
     def function(v: ti.template()):
         a = tuples.variable((v[0], v[1], v[2]))

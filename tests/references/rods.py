@@ -1,6 +1,5 @@
 """Rods to start from, the clamps that hold them, and orders of convergence."""
 
-
 from dataclasses import replace
 
 import numpy as np
@@ -72,7 +71,7 @@ def jiggled(configuration: Configuration, rng: np.random.Generator, size: float)
     turns = Rotation.from_rotvec(size * rng.normal(size=(configuration.count * configuration.edges, 3)))
     old = Rotation.from_quat(configuration.quaternions.reshape(-1, 4), scalar_first=True)
     quaternions = (old * turns).as_quat(scalar_first=True).reshape(configuration.quaternions.shape)
-    return Configuration(configuration.start, quaternions, configuration.rest_length)
+    return replace(configuration, quaternions=quaternions)
 
 
 def orders(edges, errors) -> np.ndarray:

@@ -15,11 +15,7 @@ from doo_ti import Clamp, Material, Newton, relax
 from tests.references.rods import certified, chain, clamps_at, orders, stacked
 
 ALPHA, BETA, LENGTH = 6e5, 4e5, 100.0
-
-
-def heavy(ratio: float) -> Material:
-    """The material whose wL³/EI is ``ratio``, w = 2μ, L = LENGTH."""
-    return Material(ALPHA, BETA, ratio * ALPHA / LENGTH**3 / 2)
+UNIT = ALPHA / LENGTH**3 / 2  # the weight μ with which wL³/EI is 1
 
 
 def drooping(ratio: float):
@@ -42,7 +38,8 @@ def test_drooping_cantilever_converges_to_the_elastica(ratio):
     for count in edges:
         length = LENGTH / (count - 0.5)
         rod = chain(np.tile([1.0, 0.0, 0.0], (count, 1)), [0, 1, 0], length, start=(-length / 2, 0, 0))
-        solution = certified(relax(rod, heavy(ratio), clamps_at(rod, Clamp.FRAME, Clamp.FREE), Newton(tolerance=1e-10)))
+        material, clamps = Material(ALPHA, BETA, ratio * UNIT), clamps_at(rod, Clamp.FRAME, Clamp.FREE)
+        solution = certified(relax(rod, material, clamps, Newton(tolerance=1e-10)))
         x, z = curve((np.arange(1, count + 1) - 0.5) / (count - 0.5))[2:]
         away = solution.configuration.vertices[0, 1:] / LENGTH - np.stack([x, 0 * x, z], axis=1)
         errors.append(np.linalg.norm(away, axis=1).max() / np.abs(z).max())
@@ -50,7 +47,6 @@ def test_drooping_cantilever_converges_to_the_elastica(ratio):
 
 
 def test_certificate_flips_at_greenhills_column():
-    """A standing column is always in equilibrium; its certificate turns at wL³/EI = 7.837, to second order."""
     threshold = (1.5 * brentq(lambda x: jv(-1 / 3, x), 1.5, 2.2)) ** 2
     assert threshold == pytest.approx(7.8373, abs=1e-4)
     edges, errors = [10, 20, 40], []
@@ -59,8 +55,8 @@ def test_certificate_flips_at_greenhills_column():
         low, high = 0.8 * threshold, 1.2 * threshold
         for _ in range(3):
             ratios = np.linspace(low, high, 21)
-            columns = stacked([rod] * len(ratios))
-            solution = relax(columns, heavy(ratios), clamps_at(columns, Clamp.FRAME, Clamp.FREE), Newton(max_escapes=0))
+            columns, material = stacked([rod] * len(ratios)), Material(ALPHA, BETA, ratios * UNIT)
+            solution = relax(columns, material, clamps_at(columns, Clamp.FRAME, Clamp.FREE), Newton(max_escapes=0))
             assert solution.converged.all()
             np.testing.assert_allclose(solution.configuration.vertices, columns.vertices, atol=1e-9)
             flip = np.flatnonzero(solution.stable)[-1]

@@ -15,7 +15,6 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from doo_ti import Configuration, Material, Newton, relax
-from doo_ti.rod.frames import quaternion_from_matrix
 from tests.references.rods import certified, chain, clamps_at, jiggled, stacked
 
 ALPHA, BETA, RADIUS = 6e5, 4e5, 20.0
@@ -54,13 +53,10 @@ EDGES, LENGTH = 24, 3.0
 
 def uniform_rod(bend_angle: float, twist_angle: float) -> Configuration:
     """Each joint turns by half the twist, the bend about m2, half the twist: m is the twist and φ the bend angle."""
-    half = Rotation.from_rotvec([twist_angle / 2, 0, 0])
+    half, first = Rotation.from_rotvec([twist_angle / 2, 0, 0]), Rotation.from_rotvec([0.3, -0.4, 0.2])
     joint = half * Rotation.from_rotvec([0, 0, bend_angle]) * half
-    frames = [Rotation.from_rotvec([0.3, -0.4, 0.2])]
-    for _ in range(EDGES - 1):
-        frames.append(frames[-1] * joint)
-    quaternions = quaternion_from_matrix(np.array([frame.as_matrix() for frame in frames]))
-    return Configuration(np.array([[5.0, -3.0, 2.0]]), quaternions[None], np.full(EDGES, LENGTH))
+    quaternions = np.array([[(first * joint**k).as_quat(scalar_first=True) for k in range(EDGES)]])
+    return Configuration(np.array([[5.0, -3.0, 2.0]]), quaternions, np.full(EDGES, LENGTH))
 
 
 @pytest.mark.parametrize(("bend_angle", "twist_angle"), [(0.12, 0.0), (0.2, 0.08), (0.25, -0.15)])

@@ -1,5 +1,4 @@
-"""Random rods to relax, and bit-for-bit comparison of solutions. The development data as rods: observations, their clamps and
-starts, and the material they were made of."""
+"""Random rods to relax, bit-for-bit comparison of solutions, and rods of the virtual lab."""
 
 import json
 from dataclasses import dataclass, replace
@@ -55,8 +54,8 @@ def assert_same(first: Solution, rows, second: Solution, other_rows) -> None:
     for name in RESULTS:
         np.testing.assert_array_equal(getattr(first, name)[rows], getattr(second, name)[other_rows], err_msg=name)
     a, b = first.configuration, second.configuration
-    np.testing.assert_array_equal(a.quaternions[rows], b.quaternions[other_rows])
-    np.testing.assert_array_equal(a.start[rows], b.start[other_rows])
+    for name in ("quaternions", "start"):
+        np.testing.assert_array_equal(getattr(a, name)[rows], getattr(b, name)[other_rows])
 
 
 BENDS = {"bend": np.eye(2), "bend_1": np.diag([1.0, 0.0]), "bend_2": np.diag([0.0, 1.0]), "bend_12": np.eye(2)[::-1]}
@@ -98,9 +97,6 @@ class Lab:
     clamps: Clamps
     start: Configuration
     material: Material
-
-    def take(self, rows) -> "Lab":
-        return Lab(self.observations.take(rows), self.clamps.take(rows), self.start.take(rows), self.material)
 
 
 def lab(folder: Path, name: str) -> Lab:

@@ -25,18 +25,16 @@ def test_every_pair_of_clamps(rng, kind):
     apart = vertex_distance(newton.configuration, descent.configuration)
     # Two that hang by one point may turn about the vertical.
     settled = np.array([{Clamp.FREE, Clamp.POSITION} != set(pair) for pair in PAIRS])
-    assert newton.converged.all() and descent.converged.all()
+    assert newton.converged.all() and descent.converged.all() and (apart[settled] < SAME).all()
     np.testing.assert_allclose(descent.energy, newton.energy, rtol=1e-7)
-    assert (apart[settled] < SAME).all()
     assert descent.residual.max() <= 1e-5 and descent.closure.max() <= 1e-12
 
 
 def test_statuses(rng):
     rods = wandering(rng, 3, 10)
     clamps, start, material = clamps_at(rods), jiggled(rods, rng, 0.05), Material(3e5, 2e5, 1.0)
-    loose = relax(start, material, clamps, Descent(tolerance=1e-1))
-    assert loose.converged.all() and loose.residual.max() <= 1e-1
-    assert loose.iterations.max() < relax(start, material, clamps, Descent(tolerance=1e-3)).iterations.min()
+    loose, tight = (relax(start, material, clamps, Descent(tolerance=tolerance)) for tolerance in (1e-1, 1e-3))
+    assert loose.converged.all() and loose.residual.max() <= 1e-1 and loose.iterations.max() < tight.iterations.min()
     short = relax(start, material, clamps, Descent(max_iterations=3))
     assert (short.status == Status.ITERATION_LIMIT).all() and not short.stable.any()
     double, single = (relax(start, material, clamps, Descent(tolerance=1e-2), precision=name) for name in ("f64", "f32"))
@@ -45,7 +43,6 @@ def test_statuses(rng):
 
 
 def test_far_starts_are_closed_or_said_not_to_be(rng):
-    """Far ends a long way from their clamps: Newton brings all of them there, Descent too, or it has not converged."""
     rods = wandering(rng, 40, 20, 3.0)
     clamps = clamps_at(rods)
     turned = Rotation.random(40, random_state=rng).as_matrix()
@@ -54,6 +51,4 @@ def test_far_starts_are_closed_or_said_not_to_be(rng):
     newton = relax(rods, Material(3e5, 2e5, 1.0), far)
     assert newton.converged.all() and newton.closure.max() < 1e-12
     descent = relax(rods, Material(3e5, 2e5, 1.0), far, Descent(tolerance=1e-3, max_iterations=30_000))
-    open_ended = descent.closure > 1e-12
-    assert not (open_ended & descent.converged).any()
-    assert descent.converged.mean() > 0.9
+    assert (descent.closure[descent.converged] <= 1e-12).all() and descent.converged.mean() > 0.9

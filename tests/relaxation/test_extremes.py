@@ -1,21 +1,18 @@
-"""Extreme rods: straight starts, taut rods, many turns, few edges and many, uneven and flat. Rods with hardly any slack,
-standing rods, and starts inside obstacles: what converges though it is hard."""
+"""Extreme rods and starts: what converges though it is hard."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from doo_ti import Clamp, Clamps, Configuration, Itself, Material, Newton, Plane, relax
+from doo_ti import Clamp, Configuration, Itself, Material, Newton, Plane, relax
 from doo_ti.rod.shapes import end_clamps, hanging, straight_rod
 from tests.oracle.external import where_found
 from tests.references.rods import certified, chain, clamps_at, jiggled
 from tests.relaxation.rods import definite, wandering
 
-EVERY = ["f64", "f32", "mixed"]
 MATERIAL = Material(6e5, 5e5, 1.0)
-
-every_precision = pytest.mark.parametrize("precision", EVERY)
+every_precision = pytest.mark.parametrize("precision", ["f64", "f32", "mixed"])
 
 
 def straight(edges: int, direction=(1.0, 0.0, 0.0), turns: float = 0.0) -> Configuration:
@@ -25,14 +22,9 @@ def straight(edges: int, direction=(1.0, 0.0, 0.0), turns: float = 0.0) -> Confi
     return chain(np.tile(direction, (edges, 1)), across, 99.0 / edges, spin=spin)
 
 
-def shortened(clamps, end_position):
-    return replace(clamps, end_position=np.array([end_position], dtype=float))
-
-
 def well(solution, precision: str = "f64") -> None:
     """Converged and certified, and closed: f64 finished the rods that f32 could not."""
-    assert solution.converged.all(), solution.status
-    assert solution.stable.all() and np.isfinite(solution.energy).all()
+    assert np.isfinite(certified(solution).energy).all()
     assert solution.closure.max() <= (1e-7 if precision == "f32" else 1e-12)
 
 
@@ -44,10 +36,9 @@ def test_straight_starts_that_must_shorten(direction, weight, precision):
     """A straight rod cannot shorten to first order, and no side is preferred."""
     material = Material(6e5, 5e5, weight)
     rod = straight(9, direction)
-    clamps = clamps_at(rod)
     bow = jiggled(rod, np.random.default_rng(3), 0.1)
     for share in (0.95, 0.8, 0.4):
-        near = shortened(clamps, 99.0 * share * np.array(direction))
+        near = replace(clamps_at(rod), end_position=99.0 * share * np.array([direction]))
         solution = relax(rod, material, near, precision=precision)
         well(solution, precision)
         if precision == "f64" and share == 0.8:
@@ -67,7 +58,7 @@ def test_whole_turns_of_twist(shape, turns, precision):
         return chain(np.stack([np.cos(angle), 0 * angle, np.sin(angle)], axis=1), [0, 1, 0], 3.0, spin=spin)
 
     clamps = clamps_at(rod(turns))
-    clamps = clamps if shape == "bow" else shortened(clamps, [80.0, 0.0, 0.0])
+    clamps = clamps if shape == "bow" else replace(clamps, end_position=np.array([[80.0, 0.0, 0.0]]))
     solution, untwisted = relax(rod(turns), MATERIAL, clamps, precision=precision), relax(rod(0), MATERIAL, clamps)
     well(solution, precision)
     even = 5e5 * (2 * np.pi * turns) ** 2 / (2 * 96.0)
@@ -84,8 +75,7 @@ def test_few_edges(edges, kinds, precision):
     angle = 0.5 * (np.arange(edges) - 0.5 * (edges - 1))
     tangents = np.stack([np.cos(angle), 0 * angle, np.sin(angle)], axis=1)
     rod = chain(tangents, [0, 1, 0], 3.0, spin=0.2 * np.arange(edges))
-    clamps = clamps_at(rod, *(Clamp(kind) for kind in kinds))
-    material = Material(2e4, 1e4, 50.0)
+    clamps, material = clamps_at(rod, *(Clamp(kind) for kind in kinds)), Material(2e4, 1e4, 50.0)
     solution = relax(rod, material, clamps, precision=precision)
     well(solution, precision)
     here, single = where_found(solution.configuration, material, clamps, 0), precision == "f32"
@@ -99,22 +89,17 @@ def test_few_edges(edges, kinds, precision):
 def test_coarse_rods_that_swing_about_their_chord(rng, edges):
     """Bowed any way between two positions they swing down under their weight, a long way round for few edges."""
     rods = wandering(rng, 128, edges)
-    solution = relax(rods, MATERIAL, clamps_at(rods, Clamp.POSITION, Clamp.POSITION))
-    well(solution)
-
-
-DECADES = np.geomspace(1e2, 1e8, 13)
-EVERY_PAIR = {"configuration_index": np.arange(12).repeat(13), "material_index": np.tile(np.arange(13), 12)}
+    well(relax(rods, MATERIAL, clamps_at(rods, Clamp.POSITION, Clamp.POSITION)))
 
 
 @pytest.mark.sampled(1)
 @pytest.mark.parametrize("seed", [3, 2011])
 def test_limp_and_stiff_with_any_bend_matrix(seed):
     rng = np.random.default_rng(seed)
-    rods = wandering(rng, 12, 33)
-    material = Material(definite(rng, 13, scale=1.0) * DECADES[:, None, None], DECADES, 1.0)
-    solution = relax(rods, material, clamps_at(rods), Newton(max_iterations=600), **EVERY_PAIR)
-    well(solution)
+    rods, decades = wandering(rng, 12, 33), np.geomspace(1e2, 1e8, 13)
+    material = Material(definite(rng, 13, scale=1.0) * decades[:, None, None], decades, 1.0)
+    well(relax(rods, material, clamps_at(rods), Newton(max_iterations=600),
+               configuration_index=np.arange(12).repeat(13), material_index=np.tile(np.arange(13), 12)))
 
 
 @pytest.mark.parametrize("kind", [Clamp.POSITION, Clamp.TANGENT, Clamp.FRAME])
@@ -123,15 +108,12 @@ def test_little_slack(kind, stiffness):
     slack = np.geomspace(3e-8, 3e-4, 17)
     ropes, clamps = hanging(np.full(17, 1000.0), 40, (0, 0, 0), np.column_stack([1000.0 * (1 - slack), 0 * slack, 0 * slack]))
     frames = np.repeat(np.eye(3)[None], 17, axis=0)
-    held = Clamps(kind, kind, clamps.start_position, clamps.end_position, frames, frames)
+    held = replace(clamps, start=kind, end=kind, start_frame=frames, end_frame=frames)
     certified(relax(ropes, Material.from_physical(stiffness, stiffness, 0.5), held))
 
 
 def test_standing_rods_fall_and_are_certified():
-    count = 100
-    rod = straight_rod(300.0, 30, (0, 0, 0), (0, 0, 1))
-    rods = Configuration(np.zeros((count, 3)), np.repeat(rod.quaternions, count, axis=0), rod.rest_length)
-    bend = np.geomspace(1e5, 1e9, count)
+    rods, bend = straight_rod(300.0, 30, (0, 0, 0), (0, 0, 1)).take([0] * 100), np.geomspace(1e5, 1e9, 100)
     solution = relax(rods, Material(bend, 0.8 * bend), end_clamps(rods, Clamp.FRAME, Clamp.FREE))
     assert solution.converged.mean() >= 0.98 and solution.stable[solution.converged].all()
     assert solution.iterations.mean() < 40
@@ -141,8 +123,8 @@ def test_standing_rods_fall_and_are_certified():
 def test_a_released_start_falls_though_the_rod_may_touch_itself():
     rod = straight_rod(300.0, 30)
     clamps, material = end_clamps(rod, Clamp.FREE, Clamp.FRAME), Material(1e6, 0.8e6)
-    alone, itself = relax(rod, material, clamps), relax(rod, material, clamps, obstacles=[Itself()], radius=1.0)
-    assert itself.converged.all() and itself.stable.all()
+    alone = relax(rod, material, clamps)
+    itself = certified(relax(rod, material, clamps, obstacles=[Itself()], radius=1.0))
     np.testing.assert_allclose(itself.configuration.vertices, alone.configuration.vertices, atol=1e-4)
 
 

@@ -1,7 +1,7 @@
 """By how much rods of a mesh rest elsewhere than continuous ones, as estimated by edges half as long."""
 
 import numpy as np
-from scipy.integrate import solve_bvp
+from scipy.integrate import cumulative_trapezoid, solve_bvp
 
 import doo_ti as d
 from doo_ti.contact.surroundings import Surroundings
@@ -12,21 +12,14 @@ MATERIAL = d.Material(BEND, BEND, 1.0)
 
 
 def cantilever(held_length: float) -> tuple[np.ndarray, np.ndarray]:
-    """(N, 2) mm places and (N,) arc lengths of a heavy rod that is stiff over ``held_length``: EI φ'' = w (L − s) cos φ, with
-    EI/w = bend/2."""
-    def slope(s, y):
-        return np.stack([y[1], 2 * (LENGTH - s) * np.cos(y[0]) / BEND])
-
-    def ends(start, end):
-        return np.array([start[0], end[1]])
-
-    place = np.linspace(held_length, LENGTH, 200)
-    found = solve_bvp(slope, ends, place, np.zeros((2, 200)), tol=1e-9, max_nodes=20_000)
+    """(N, 2) mm places and (N,) arc lengths of a rod, stiff over ``held_length``: EI φ'' = w (L − s) cos φ, EI/w = bend/2."""
+    found = solve_bvp(lambda s, y: np.stack([y[1], 2 * (LENGTH - s) * np.cos(y[0]) / BEND]),
+                      lambda start, end: np.array([start[0], end[1]]),
+                      np.linspace(held_length, LENGTH, 200), np.zeros((2, 200)), tol=1e-9, max_nodes=20_000)
     s = np.linspace(held_length, LENGTH, 20_001)
     angle = found.sol(s)[0]
-    x = held_length + np.concatenate([[0], np.cumsum(0.5 * np.diff(s) * (np.cos(angle[1:]) + np.cos(angle[:-1])))])
-    z = np.concatenate([[0], np.cumsum(0.5 * np.diff(s) * (np.sin(angle[1:]) + np.sin(angle[:-1])))])
-    return np.stack([x, z], axis=1), s
+    tangents = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    return [held_length, 0] + cumulative_trapezoid(tangents, s, axis=0, initial=0), s
 
 
 def test_a_cantilever_and_its_elastica():

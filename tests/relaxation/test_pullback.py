@@ -19,12 +19,9 @@ ALONG = tuple(name for name in PARAMETERS if name != "modes")
 def contracted(solution: Solution, cotangent, frames, parameters, modes=None) -> tuple[np.ndarray, np.ndarray]:
     """(R, P) cotangentᵀ · sensitivity, and the size that its terms have."""
     found = sensitivity(solution, parameters, modes)
-    F, w = solution.configuration.frames, found.rotations
-    turned = np.stack([F[..., 1, None] * w[:, :, None, 2] - F[..., 2, None] * w[:, :, None, 1],
-                       F[..., 2, None] * w[:, :, None, 0] - F[..., 0, None] * w[:, :, None, 2],
-                       F[..., 0, None] * w[:, :, None, 1] - F[..., 1, None] * w[:, :, None, 0]], axis=3)
-    terms = np.concatenate([(cotangent[..., None] * found.vertices).reshape(*cotangent.shape[:1], -1, w.shape[-1]),
-                            (frames[..., None] * turned).reshape(*cotangent.shape[:1], -1, w.shape[-1])], axis=1)
+    turned = np.cross(solution.configuration.frames[..., None], found.rotations[:, :, None], axis=3)
+    terms = np.concatenate([part.reshape(len(cotangent), -1, turned.shape[-1]) for part in (
+        cotangent[..., None] * found.vertices, frames[..., None] * turned)], axis=1)
     return terms.sum(axis=1), np.sqrt((terms**2).sum(axis=1))
 
 
@@ -35,7 +32,6 @@ def flat(pulled, parameters) -> np.ndarray:
 @pytest.mark.sampled(1)
 @pytest.mark.parametrize("kind", ["edge by edge", "round"])
 def test_it_is_the_adjoint_of_sensitivity(rng, kind):
-    """Every pair of clamps, every parameter, uneven lengths, cotangents of vertices and of frames."""
     count = len(PAIRS)
     rods = wandering(rng, count, 12, rest_length=rng.uniform(2, 4, 12))
     material = Material(2e5, 1.5e5, 1.1) if kind == "round" else Material(
@@ -43,9 +39,8 @@ def test_it_is_the_adjoint_of_sensitivity(rng, kind):
     solution = relax(rods, material, with_kinds(clamps_at(rods), PAIRS), SHARP, up=UP)
     cotangent, frames, modes = rng.normal(size=(count, 13, 3)), rng.normal(size=(count, 12, 3, 3)), rng.normal(size=(2, 11, 2))
     for row in map(PAIRS.index, PENDULUMS):  # their angle about the vertical is not determined: nothing may depend on it
-        swing = np.cross(UP, solution.configuration.vertices[row] - clamps_at(rods).start_position[row])
-        if PAIRS[row][0] == Clamp.FREE:
-            swing = np.cross(UP, solution.configuration.vertices[row] - solution.configuration.vertices[row, -1])
+        places = solution.configuration.vertices[row]
+        swing = np.cross(UP, places - places[-1 if PAIRS[row][0] == Clamp.FREE else 0])
         cotangent[row] -= swing * (swing * cotangent[row]).sum() / (swing**2).sum()
         frames[row] = 0.0
     pulled = pullback(solution, cotangent, PARAMETERS, modes, frames)
@@ -60,7 +55,6 @@ def test_it_is_the_adjoint_of_sensitivity(rng, kind):
 
 @pytest.mark.thorough
 def test_rods_relaxed_again_change_so(rng):
-    """Central differences of the scalar along forces, of rods under forces and masses."""
     rods = wandering(rng, 6, 12)
     kinds = [(Clamp.FRAME, Clamp.FRAME), (Clamp.TANGENT, Clamp.FRAME), (Clamp.FREE, Clamp.FRAME)] * 2
     clamps, (cotangent, along) = with_kinds(clamps_at(rods), kinds), rng.normal(size=(2, 6, 13, 3))
@@ -83,15 +77,13 @@ def test_rods_relaxed_again_change_so(rng):
 
 @pytest.mark.thorough
 def test_contacts_stay_as_they_are():
-    """Amid obstacles of all kinds, both ends held; and with a free first or last vertex on a slope and a ball."""
     rng, close = np.random.default_rng(5), Newton(max_iterations=1000, gap_tolerance=1e-8)
     start, material, clamps = sagging(rng, 48)
     amid = relax(start, material, clamps, close, obstacles=OBSTACLES, radius=RADIUS, up=(0.1, 0.05, 1.0))
     ends = [relax(LEANING, Material(4e4, 3e4), with_kinds(clamps_at(LEANING), [kinds]), close, **SLOPE_AND_BALL)
             for kinds in ((Clamp.FRAME, Clamp.FREE), (Clamp.FREE, Clamp.FRAME))]
     for solution in (amid, *ends):
-        places = solution.configuration.vertices
-        cotangent, none = rng.normal(size=places.shape), np.zeros((*places.shape[:1], places.shape[1] - 1, 3, 3))
+        cotangent, none = rng.normal(size=solution.configuration.vertices.shape), 0 * solution.configuration.frames
         pulled = pullback(solution, cotangent, ALONG)
         expected, size = contracted(solution, cotangent, none, ALONG)
         rows = pulled.usable & solution.contact.touching.any(axis=1)

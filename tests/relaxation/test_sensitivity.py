@@ -20,20 +20,17 @@ PENDULUMS = [(Clamp.FREE, Clamp.POSITION), (Clamp.POSITION, Clamp.FREE)]
 UP = np.array([0.2, -0.1, 1.0])
 
 
-def materials(rng, kind: str, count: int) -> Material:
-    if kind == "round":
-        return Material(rng.uniform(1e5, 3e5, count), rng.uniform(1e5, 3e5, count), rng.uniform(0.5, 2.0, count))
-    bend = definite(rng, count) if kind == "ribbon" else definite(rng, count, 12)
-    return Material(bend, rng.uniform(1e5, 3e5, (count, 11)), 1.3, 0.01 * rng.normal(size=(count, 11, 2)))
-
-
 @pytest.mark.thorough
 @pytest.mark.parametrize("kind", ["round", "ribbon", "edge by edge"])
 def test_it_is_the_dense_bordered_system_s(rng, kind):
-    """Every pair of clamps, every parameter, uneven lengths, slanted gravity."""
     count = len(PAIRS)
     rods = wandering(rng, count, 12, rest_length=rng.uniform(2, 4, 12))
-    clamps, material = with_kinds(clamps_at(rods), PAIRS), materials(rng, kind, count)
+    if kind == "round":
+        material = Material(rng.uniform(1e5, 3e5, count), rng.uniform(1e5, 3e5, count), rng.uniform(0.5, 2.0, count))
+    else:
+        bend = definite(rng, count) if kind == "ribbon" else definite(rng, count, 12)
+        material = Material(bend, rng.uniform(1e5, 3e5, (count, 11)), 1.3, 0.01 * rng.normal(size=(count, 11, 2)))
+    clamps = with_kinds(clamps_at(rods), PAIRS)
     solution = relax(rods, material, clamps, SHARP, up=UP)
     found = sensitivity(solution, EVERY)
     np.testing.assert_array_equal(found.usable, solution.converged & solution.stable)
@@ -47,8 +44,7 @@ def test_it_is_the_dense_bordered_system_s(rng, kind):
             free = free[free != 3]  # the first spin is held
         closed = ends.end != Clamp.FREE
         vertices, rotations = dense_sensitivity(rod, solution.configuration.quaternions[row], free, closed, EVERY)
-        pair = PAIRS[row]
-        if pair in PENDULUMS:  # it rotates about the vertical at constant energy: its angle is not determined
+        if (pair := PAIRS[row]) in PENDULUMS:  # its angle about the vertical is not determined
             swing = np.einsum("ekd,k->ed", solution.configuration.frames[row], UP / np.linalg.norm(UP))
             share = np.einsum("ed,edp->p", swing, found.rotations[row] - rotations) / (swing**2).sum()
             assert relative_errors(found.rotations[row] - swing[..., None] * share, rotations).max() < 1e-6, pair
@@ -87,8 +83,9 @@ def test_rods_without_an_equilibrium_have_none(rng):
 
 def test_a_rod_is_the_same_in_any_company(rng):
     rods, cotangent = wandering(rng, 30, 12), rng.normal(size=(30, 13, 3))
-    solution = relax(rods, Material(np.geomspace(1e5, 3e5, 30), 1e5), clamps_at(rods))
-    alone = relax(rods.take([7]), Material(np.geomspace(1e5, 3e5, 30)[[7]], 1e5), clamps_at(rods).take([7]))
+    material = Material(np.geomspace(1e5, 3e5, 30), 1e5)
+    solution, alone = (relax(own, material.take(rows), clamps_at(own)) for own, rows in (
+        (rods, range(30)), (rods.take([7]), [7])))
     np.testing.assert_array_equal(sensitivity(solution).vertices[7], sensitivity(alone).vertices[0])
     pulled, own = pullback(solution, cotangent, ("bend", "forces")), pullback(alone, cotangent[[7]], ("bend", "forces"))
     for name in ("bend", "forces"):
@@ -123,8 +120,7 @@ def test_wrong_input_is_reported(rng):
     for parameters, message in ((("bent",), "'bent' is unknown"), (("bend", "bend"), "once"), ((), "give a list"),
                                 ("bend", "give a list")):
         check_refused(message, sensitivity, solution, parameters)
-    clamps = with_kinds(clamps_at(rods), [(Clamp.FRAME, Clamp.FREE)] * 2)
-    springs = Springs(rods.vertices, np.full((2, 13), 50.0))
+    clamps, springs = clamps_at(rods, Clamp.FRAME, Clamp.FREE), Springs(rods.vertices, np.full((2, 13), 50.0))
     check_refused("external energy", sensitivity, relax(rods, Material(1e5, 1e5), clamps, external=springs))
 
 

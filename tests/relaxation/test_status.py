@@ -1,5 +1,4 @@
-"""Every status, and the results of a rod that ends with it. The precision ladder: f32, f64 and mixed end in the same minima;
-``precision`` says which arithmetic ended a rod."""
+"""Every status, the results of a rod that ends with it, and which arithmetic ended it."""
 
 from dataclasses import replace
 
@@ -25,7 +24,6 @@ def test_iteration_limit(rng, precision):
     assert (solution.status == Status.ITERATION_LIMIT).all() and not solution.stable.any()
     # What f32 could not finish f64 takes over.
     assert (solution.iterations == (3 if precision == "f64" else 6)).all() and (solution.precision == 64).all()
-    # The unfinished rod still satisfies its clamps.
     vertices = solution.configuration.vertices
     assert np.isfinite(solution.energy).all() and np.isfinite(vertices).all()
     np.testing.assert_allclose(np.linalg.norm(np.diff(vertices, axis=1), axis=2), 3.0, atol=1e-5)

@@ -50,10 +50,9 @@ def test_cells_run_in_the_order_of_the_axes():
     assert grid.shape == (2, 3, 1) and grid.size == 6
     assert [axis.name for axis in grid.axes] == ["bend", "twist_ratio", "weight"]
     cells = grid.cell_values()
-    np.testing.assert_array_equal(cells["bend_1"], [10, 10, 10, 100, 100, 100])
-    np.testing.assert_array_equal(cells["bend_2"], cells["bend_1"])
-    np.testing.assert_array_equal(cells["twist"], [5, 20, 30, 50, 200, 300])
-    np.testing.assert_array_equal(cells["weight"], np.ones(6))
+    bend, twist = [10, 10, 10, 100, 100, 100], [5, 20, 30, 50, 200, 300]
+    found = [cells[name] for name in ("bend_1", "bend_2", "twist", "weight")]
+    np.testing.assert_array_equal(found, [bend, bend, twist, np.ones(6)])
     material = grid.materials()
     assert material.is_isotropic and material.count == 6
     np.testing.assert_array_equal(material.twist[:, 0], cells["twist"])

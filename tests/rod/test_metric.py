@@ -33,23 +33,19 @@ def beside(rods: Configuration, observations: Observations, index, weight: float
 
 
 def test_missing_marks_are_left_out(rng):
-    """The sum runs over the valid marks, divided by their number less one; what a missing one holds does not count."""
     valid = rng.random((COUNT, EDGES + 1)) < 0.6
     valid[:, :2] = True
     vertices = wavy_vertices(rng, COUNT, EDGES + 1)
-    rods = wandering(rng, COUNT, EDGES)
-    found = []
+    rods, found = wandering(rng, COUNT, EDGES), []
     for missing in (np.nan, 1e6, np.inf):
         observations = observed(rng, vertices=np.where(valid[..., None], vertices, missing), valid=valid, frames=None)
         found.append(distance(rods, observations))
-    np.testing.assert_array_equal(found[0], found[1])
-    np.testing.assert_array_equal(found[0], found[2])
+    np.testing.assert_array_equal(found[1:], [found[0]] * 2)
     np.testing.assert_allclose(found[0], beside(rods, observations, range(COUNT)), rtol=1e-13)
     assert (valid.sum(axis=1) < EDGES + 1).any()
 
 
 def test_many_rods_of_few_observations(rng):
-    """Any rod may belong to any observation, and has its own rest lengths."""
     rods, observations = wandering(rng, 40, EDGES, rng.uniform(2, 4, EDGES)), observed(rng)
     index = rng.integers(0, COUNT, 40)
     found = distance(rods, observations, index, 2.0)
@@ -59,7 +55,6 @@ def test_many_rods_of_few_observations(rng):
 
 
 def test_rods_that_came_to_nothing_have_no_distance(rng):
-    """NaN for them alone, as relax returns frames that are NaN."""
     rods = wandering(rng, COUNT, EDGES)
     rods.quaternions[3] = np.nan
     found = distance(rods, observed(rng), frame_weight=1.0)

@@ -9,14 +9,14 @@ from tests.conftest import check_refused
 from tests.io.rods import joint_twist, twisted_frames, wavy_vertices
 
 
-def twisted(rng, turns: float = 2.0, hint: bool = True, **extra) -> tuple[Observations, np.ndarray]:
+def twisted(rng, turns: float = 2.0, hint: bool = True) -> tuple[Observations, np.ndarray]:
     """Observations whose end frames come from rods of known total twist, exact edge lengths, and that twist (D,)."""
     vertices = wavy_vertices(rng, count=6, marks=12)
     twist = rng.uniform(-turns, turns, 6) * 2 * np.pi
     frames = twisted_frames(vertices, twist, rng)
     off = 0.97 * np.pi * rng.uniform(-1, 1, 6)  # what a hint may be wrong by
     return Observations(vertices, start_frame=frames[:, 0], end_frame=frames[:, -1],
-                        total_twist=twist + off if hint else None, **extra), twist
+                        total_twist=twist + off if hint else None), twist
 
 
 def test_start_repeats_exact_vertices_frames_and_twist(rng):
@@ -25,8 +25,8 @@ def test_start_repeats_exact_vertices_frames_and_twist(rng):
         clamps = observation_clamps(observations)
         start = start_configuration(observations, clamps)
         np.testing.assert_allclose(start.vertices, observations.vertices, atol=1e-12)
-        np.testing.assert_allclose(start.frames[:, 0], observations.start_frame, atol=1e-12)
-        np.testing.assert_allclose(start.frames[:, -1], observations.end_frame, atol=1e-12)
+        ends = np.stack([observations.start_frame, observations.end_frame], axis=1)
+        np.testing.assert_allclose(start.frames[:, [0, -1]], ends, atol=1e-12)
         joints = joint_twist(start.quaternions)
         np.testing.assert_allclose(joints.sum(axis=1), twist, atol=1e-11)
         spread = observations.rest_length[:-1] + observations.rest_length[1:]
@@ -37,8 +37,7 @@ def test_without_a_hint_three_turns_are_hypotheses(rng):
     observations, twist = twisted(rng, turns=1.0, hint=False)
     clamps = observation_clamps(observations)
     index, turns = turn_hypotheses(observations, clamps)
-    np.testing.assert_array_equal(index, np.repeat(np.arange(6), 3))
-    np.testing.assert_array_equal(turns, np.tile([-1, 0, 1], 6))
+    np.testing.assert_array_equal((index, turns), [np.repeat(np.arange(6), 3), np.tile([-1, 0, 1], 6)])
     start = start_configuration(observations.take(index), clamps.take(index), turns)
     found = joint_twist(start.quaternions).sum(axis=1).reshape(6, 3)
     np.testing.assert_allclose(np.diff(found, axis=1), 2 * np.pi, atol=1e-11)
@@ -52,19 +51,15 @@ def test_without_a_hint_three_turns_are_hypotheses(rng):
     (Clamp.TANGENT, Clamp.FRAME, False), (Clamp.FRAME, Clamp.TANGENT, False), (Clamp.FRAME, Clamp.TANGENT, True),
     (Clamp.POSITION, Clamp.FREE, False), (Clamp.FREE, Clamp.FRAME, False)])
 def test_a_spin_free_end_leaves_no_twist(rng, start, end, hint):
-    """Whatever a hint says."""
     observations, twist = twisted(rng, hint=hint)
     assert np.abs(twist).max() > 1
     clamps = observation_clamps(observations, start, end)
-    index, turns = turn_hypotheses(observations, clamps)
-    np.testing.assert_array_equal(index, np.arange(6))
-    assert (turns == 0).all()
+    np.testing.assert_array_equal(turn_hypotheses(observations, clamps), [np.arange(6), np.zeros(6)])
     configuration = start_configuration(observations, clamps)
     np.testing.assert_allclose(joint_twist(configuration.quaternions), 0, atol=1e-12)
-    if end == Clamp.FRAME:
-        np.testing.assert_allclose(configuration.frames[:, -1], observations.end_frame, atol=1e-12)
-    if start == Clamp.FRAME:
-        np.testing.assert_allclose(configuration.frames[:, 0], observations.start_frame, atol=1e-12)
+    for kind, edge, frame in ((start, 0, observations.start_frame), (end, -1, observations.end_frame)):
+        if kind == Clamp.FRAME:
+            np.testing.assert_allclose(configuration.frames[:, edge], frame, atol=1e-12)
 
 
 def test_measured_frames_are_the_start(rng):
@@ -72,8 +67,7 @@ def test_measured_frames_are_the_start(rng):
     frames = twisted_frames(vertices, rng.uniform(-9, 9, 4), rng)
     observations = Observations(vertices, frames=frames)
     clamps = observation_clamps(observations, Clamp.FRAME, Clamp.FRAME)
-    index, turns = turn_hypotheses(observations, clamps)
-    np.testing.assert_array_equal(index, np.arange(4))
+    np.testing.assert_array_equal(turn_hypotheses(observations, clamps)[0], np.arange(4))
     np.testing.assert_allclose(start_configuration(observations, clamps).frames, frames, atol=1e-12)
     assert observation_clamps(observations).start == Clamp.TANGENT
 
@@ -82,17 +76,16 @@ def test_clamps_by_default_and_by_wish(rng):
     observations, _ = twisted(rng)
     clamps = observation_clamps(observations)
     assert (clamps.start, clamps.end) == (Clamp.FRAME, Clamp.FRAME)
-    np.testing.assert_array_equal(clamps.start_position, observations.vertices[:, 0])
-    np.testing.assert_array_equal(clamps.end_position, observations.vertices[:, -1])
+    held = np.stack([clamps.start_position, clamps.end_position], axis=1)
+    np.testing.assert_array_equal(held, observations.vertices[:, [0, -1]])
     bare = Observations(observations.vertices)
     clamps = observation_clamps(bare)
     assert (clamps.start, clamps.end) == (Clamp.TANGENT, Clamp.TANGENT)
     edge = bare.vertices[:, -1] - bare.vertices[:, -2]
     np.testing.assert_allclose(clamps.end_frame[..., 0], edge / np.linalg.norm(edge, axis=-1, keepdims=True))
-    for frame in (clamps.start_frame, clamps.end_frame):
-        identity = np.broadcast_to(np.eye(3), frame.shape)
-        np.testing.assert_allclose(np.swapaxes(frame, -1, -2) @ frame, identity, atol=1e-14)
-        assert (np.linalg.det(frame) > 0).all()
+    frames = np.concatenate([clamps.start_frame, clamps.end_frame])
+    np.testing.assert_allclose(frames.mT @ frames, np.tile(np.eye(3), (12, 1, 1)), atol=1e-14)
+    assert (np.linalg.det(frames) > 0).all()
     assert observation_clamps(bare, Clamp.POSITION, Clamp.FREE).end == Clamp.FREE
     check_refused("end_frame: missing", observation_clamps, bare, end=Clamp.FRAME)
 
@@ -102,11 +95,10 @@ def test_a_clamped_tangent_overrides_the_observed_edge(rng):
     vertices = observations.vertices + np.where(np.arange(12)[:, None] == 1, 0.3, 0.0)
     noisy = Observations(vertices, rest_length=observations.rest_length, start_frame=observations.start_frame,
                          end_frame=observations.end_frame, total_twist=observations.total_twist)
-    for kind in (Clamp.FRAME, Clamp.TANGENT):
+    for kind in (Clamp.FRAME, Clamp.TANGENT, Clamp.POSITION):
         start = start_configuration(noisy, observation_clamps(noisy, start=kind))
-        np.testing.assert_allclose(start.frames[:, 0, :, 0], observations.start_frame[..., 0], atol=1e-12)
-    start = start_configuration(noisy, observation_clamps(noisy, start=Clamp.POSITION))
-    assert np.abs(start.frames[:, 0, :, 0] - observations.start_frame[..., 0]).max() > 0.01
+        off = np.abs(start.frames[:, 0, :, 0] - observations.start_frame[..., 0]).max()
+        assert off > 0.01 if kind == Clamp.POSITION else off < 1e-12
 
 
 def test_a_rod_held_at_its_end_only_meets_that_clamp(rng):
@@ -145,14 +137,10 @@ def test_a_missing_outer_mark_is_on_the_line_through_the_next_two(rng, vertex, e
     observations = Observations(vertices, valid, **given)
     clamps = observation_clamps(observations, **{end: kind})
     assert np.isfinite(start_configuration(observations, clamps).vertices).all()
-    position = (clamps.start_position if end == "start" else clamps.end_position)[2]
-    if vertex in (0, 8):
-        near, far = (1, 2) if end == "start" else (7, 6)
-        lengths = observations.rest_length[[0, 1] if end == "start" else [-1, -2]]
-        line = vertices[2, near] + (vertices[2, near] - vertices[2, far]) * lengths[0] / lengths[1]
-        np.testing.assert_allclose(position, line, atol=1e-9)
-    else:
-        np.testing.assert_array_equal(position, vertices[2, 0 if end == "start" else -1])
+    inwards, outer = 1 if end == "start" else -1, vertex in (0, 8)
+    marks, lengths = vertices[2, ::inwards], observations.rest_length[::inwards]
+    expected = marks[1] + (marks[1] - marks[2]) * lengths[0] / lengths[1] if outer else marks[0]
+    np.testing.assert_allclose(getattr(clamps, f"{end}_position")[2], expected, rtol=0, atol=1e-9 if outer else 0)
 
 
 def test_infeasible_spans_are_named_with_their_excess():

@@ -52,14 +52,10 @@ def test_type_checkers_find_nothing(checker, tmp_path):
     """From another folder, as a user's program."""
     program = tmp_path / "program.py"
     program.write_text(PROGRAM.read_text(encoding="utf-8"), encoding="utf-8")
-    if checker == "mypy":
-        if find_spec("mypy") is None:
-            pytest.skip("mypy is not installed")
-        words = [sys.executable, "-m", "mypy", "--strict", "--follow-imports=silent", "--cache-dir", str(tmp_path / "cache")]
-    elif (command := shutil.which("pyright")) is None:
-        pytest.skip("pyright is not installed")
-    else:
-        words = [command, "--pythonpath", sys.executable]
+    own = ["--strict", "--follow-imports=silent", "--cache-dir", str(tmp_path / "cache")]
+    words = [sys.executable, "-m", "mypy", *own] if checker == "mypy" else ["pyright", "--pythonpath", sys.executable]
+    if not (find_spec(checker) if checker == "mypy" else shutil.which(checker)):
+        pytest.skip(f"{checker} is not installed")
     done = subprocess.run([*words, str(program)], capture_output=True, text=True, cwd=tmp_path,
                           env={**os.environ, "MYPYPATH": str(ROOT), "PYTHONPATH": os.pathsep.join([str(ROOT), *sys.path[1:]])})
     assert done.returncode == 0, done.stdout + done.stderr
@@ -82,15 +78,15 @@ def test_objects_are_printed_in_one_line(rng):
         "EndLoads(start_force (3, 3), start_moment (3, 3), end_force (3, 3), end_moment (3, 3), physical True)"]
 
 
+def classes(annotation):
+    """All that an annotation names."""
+    inner = [one for part in typing.get_args(annotation) for one in (part if isinstance(part, list) else [part])]
+    own = {annotation} if inspect.isclass(annotation) else set()
+    return own.union(*map(classes, inner))
+
+
 def test_arguments_are_of_public_types():
     """Whatever a public function or constructor takes can be made from public names."""
-    def classes(annotation):
-        if inspect.isclass(annotation):
-            yield annotation
-        for part in typing.get_args(annotation):
-            for inner in part if isinstance(part, list) else [part]:
-                yield from classes(inner)
-
     others = {"Refinement", "Identified", "Trajectory", "External", "InterruptedRunError", "Contacts"}  # not made by a program
     public = set(PUBLIC.values())
     for name, thing in PUBLIC.items():
