@@ -129,6 +129,7 @@ def summary_lines(summary: dict) -> list[str]:
     rivals = ", ".join(bend for bend in dict.fromkeys(bends) if bend != own)
     curved = _curved(summary)
     unround = next((one["option"] for one in summary["advice"] if one["meaning"] == UNROUND and one["gain"] > DECISIVE), None)
+    interval = interval_text if summary["converged"] else _without_interval
     elsewhere = "at more cells (--starts N)" if summary["of_run"] else "at the run of a sweep (doo-ti sweep first)"
     return [
         f"{in_line(summary['material'])}: {summary['rods_used']} of {summary['observations']} observations, "
@@ -138,17 +139,17 @@ def summary_lines(summary: dict) -> list[str]:
              "--clamps exact, --rest-curvature none, fewer --parameters)"),
             ("WARNING", up_text(summary["other_up"])), ("WARNING", unround and f"{UNROUND} explains the marks "
              f"far better; the intervals are those of a round rod: give {unround}"),
-            *((one["name"], interval_text(one["value"], one["low"], one["high"], one["unit"])
+            *((one["name"], interval(one["value"], one["low"], one["high"], one["unit"])
                + "  (negative: outside the outer mark)" * (one["name"].startswith("clip") and (one["low"] or 0) < 0))
               for one in summary["parameters"] if not one["name"].startswith("up[")),
             ("up", "up[0]" in summary["unknowns"] and
              f"({x:.4f}, {y:.4f}, {z:.4f}), tilted by {summary['tilt_deg']:.2g}° from the given direction"),
-            *((name.removesuffix("_Nm2"), interval_text(*ends, "N m²")) if name.endswith("_Nm2") else
-              (f"{name.removesuffix('_over_weight_mm3')} over weight", interval_text(*ends, "mm³"))
+            *((name.removesuffix("_Nm2"), interval(*ends, "N m²")) if name.endswith("_Nm2") else
+              (f"{name.removesuffix('_over_weight_mm3')} over weight", interval(*ends, "mm³"))
               for name, ends in summary["stiffness"].items()),
             ("linear density", "weight" in summary["unknowns"] and summary["linear_density_g_per_m"] and
-             interval_text(*summary["linear_density_g_per_m"], "g/m")),
-            ("", "95 % intervals, with everything else fitted again"),
+             interval(*summary["linear_density_g_per_m"], "g/m")),
+            ("", summary["converged"] and "95 % intervals, with everything else fitted again"),
             ("as probable", rivals and f"other fits of the same marks, with bend {rivals} mm³: the intervals contain them"),
             ("rest curvature", curvature["root_mean_square"] and (
                 f"{curvature['root_mean_square']:.3g} 1/mm (root mean square), over a range of {curvature['range_mm']:.3g} mm"
@@ -191,6 +192,11 @@ def interval_text(value: float, low: float | None, high: float | None, unit: str
     return f"{value:.4g} ({low:.4g} .. {high:.4g}) {unit}".rstrip() + wide
 
 
+def _without_interval(value: float, low: float | None, high: float | None, unit: str) -> str:
+    """The value where a fit has stopped; its interval would be that of another place."""
+    return f"{value:.4g} {unit}".rstrip() + "  (no interval: not converged)"
+
+
 def _option(argument: str) -> str:
     """``rest_curvature=field`` as ``--rest-curvature field``."""
     name, _, value = argument.partition("=")
@@ -211,7 +217,7 @@ def _adequacy_lines(summary: dict) -> list[str]:
     helpless = not summary["reaches_noise"] and not summary["advice"] and summary["other_up"] is None
     turns = ", total_twist_deg of rods that may be twisted by whole turns" * summary["turns_open"]
     return _rows(
-        ("noise", f"{summary['sigma_mm']:.3g} mm per coordinate ({source})"), ("residuals", left),
+        ("noise", f"{summary['sigma_mm']:.3g} mm per coordinate ({source})"), ("residuals", summary["converged"] and left),
         *(("try", f"{one['option']} ({one['meaning']}: twice the log evidence rises by {one['gain']:.3g})")
           for one in summary["advice"][:2]),
         ("try", helpless and f"nothing that refine can learn explains it: check the misfits, --up, --sigma{turns}, and how the "

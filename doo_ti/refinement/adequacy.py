@@ -263,7 +263,7 @@ class Mislabelled:
 def mislabelled(fit: Fit, fitted: Fitted) -> tuple[Mislabelled, ...]:
     """Those among the first MOST_MISFITS misfits of a finished fit."""
     state = fitted.state
-    misfits = np.flatnonzero(~state.used & (fit.comparison.count > 0))[:MOST_MISFITS]
+    misfits = np.flatnonzero(~state.used & (fit.comparison.count > 0) & fit.far(state))[:MOST_MISFITS]
     if fit.rods is not None or not state.used.any() or not len(misfits):
         return ()
     usual = ODD * max(np.median(fit.mean_squares(state.residuals)[state.used]), EXACT)

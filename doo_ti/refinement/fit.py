@@ -237,9 +237,13 @@ class Fit:
         state = State(values, scales, solution, residuals, good & (self.comparison.count > 0))
         if self.rods is not None:
             return replace(state, used=state.used & self.rods)
-        least = self._least(state, state.used)
-        odd = least > ODD * max(np.median(least[np.isfinite(least)]), EXACT) if state.used.any() else least > 0
-        return replace(state, used=state.used & ~np.repeat(odd, self.unknowns.rod.copies))
+        return replace(state, used=state.used & ~self.far(state))
+
+    def far(self, state: State) -> np.ndarray:
+        """(D,) bool: rods whose marks' residuals are those of a misfit, beside those of the rods that are ``used``."""
+        least, usual = self._least(state, state.sound), self._least(state, state.used)
+        odd = least > ODD * max(np.median(usual[np.isfinite(usual)]), EXACT) if state.used.any() else least > 0
+        return np.repeat(odd, self.unknowns.rod.copies)
 
     def mean_squares(self, residuals: tuple[np.ndarray, ...]) -> np.ndarray:
         """(D,) of the marks' residuals."""

@@ -147,7 +147,8 @@ class Refinement:
         """Reason: number of rods that for this reason did not determine Θ."""
         reasons = np.array([kind.name.lower().replace("_", " ") for kind in Status])[self.status]
         sound = self.status == Status.CONVERGED
-        reasons = np.where(sound, np.where(self.stable, "far from its marks", "unstable"), reasons)
+        near = np.where(self.misfits, "far from its marks", "about to snap")
+        reasons = np.where(sound, np.where(self.stable, near, "unstable"), reasons)
         names, counts = np.unique(reasons[~self.used], return_counts=True)
         return dict(zip(names.tolist(), counts.tolist(), strict=True))
 
@@ -280,8 +281,8 @@ def _refinement(best: Optimum, rivals: list[Optimum], options: RefinementOptions
         estimate=replace(estimate, values=state.values), adequacy=adequacy(fit, fitted),
         scores=scores(fit, fitted) if options.models else (), marks=marks, mean_squares=fit.mean_squares(state.residuals),
         distance=rod.distance(marks, state.solution, lengths, options.frame_weight),
-        status=state.solution.status, stable=state.solution.stable, used=state.used, misfits=sound & ~state.used,
-        mislabelled=mislabelled(fit, fitted), converged=fitted.converged, steps=fitted.steps,
+        status=state.solution.status, stable=state.solution.stable, used=state.used, converged=fitted.converged,
+        misfits=sound & ~state.used & fit.far(state), mislabelled=mislabelled(fit, fitted), steps=fitted.steps,
         swivels=rod.swivels, turns_ignored=rod.observations.total_twist is None and measured_turns, mesh_edges=rod.edges,
         mesh_error=None if np.ndim(correction) == 0 else _root_mean_square(correction[state.used]))
 

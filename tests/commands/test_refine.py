@@ -93,6 +93,7 @@ def test_a_fit_that_stopped_says_what_to_do(observed, capsys, monkeypatch):
     monkeypatch.setattr(fit.Fit, "run", partialmethod(_few_steps, fit.Fit.run))
     out = succeeded(capsys, "refine rod.npz --bend 4e5 --twist 2e3 --clip 2 --no-models --rest-curvature none --clamps exact")
     assert "NOT converged" in out and "doo-ti sweep" in out and "--clamps exact" in out
+    assert "no interval" in out and ".." not in out and "only noise" not in out
 
 
 def _few_steps(fit, run, state, steps, held=None):

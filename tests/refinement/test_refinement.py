@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from doo_ti import Axis, Grid, Observations, RefinementOptions, Status, Theta, observation_clamps, refine, relax
+from doo_ti.refinement import residuals
 from doo_ti.refinement.folds import folds_of, refine_held_out
 from doo_ti.refinement.search import lowest_cells, theta_of_cell
 from doo_ti.rod.frames import rotation_matrix
@@ -63,6 +64,15 @@ def test_marks_in_a_wrong_order_are_named(rng):
     out = fitted(wrong, truth, parameters=("bend",), curvature="none")
     assert {one.observation: one.marks for one in out.mislabelled} == {4: (5, 9), 7: (6,)}
     assert not out.used[[4, 7]].any() and out.used.sum() == 8 and "5 and 9" in out.mislabelled[0].text
+
+
+def test_a_rod_about_to_snap_is_no_misfit(rng, monkeypatch):
+    """It is near its marks and left out because it would move far: its marks are not called wrong."""
+    monkeypatch.setattr(residuals, "SOFT", 1.3)
+    observations, truth = own_mesh(rng)
+    out = fitted(observations, truth, parameters=("bend",), curvature="none", clip=1.5)
+    assert not out.used.all() and not out.misfits.any() and not out.mislabelled
+    assert out.reasons == {"about to snap": int((~out.used).sum())}
 
 
 @pytest.mark.thorough
