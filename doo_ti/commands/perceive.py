@@ -192,10 +192,7 @@ def _perceived(task: PerceptionTask, detected: list[list], seed_sigma: np.ndarra
 
 def _arrays(task: PerceptionTask, found) -> dict[str, np.ndarray]:
     """The arrays of the file; docs/commands/perceive.md."""
-    sound, sigma = _found(found)[:, None], found.sigma.copy()
-    # The last vertex, and a clicked first one, is as uncertain along the rod as its length: a range of 4 σ.
-    ends = [-1] if task.sets.point is not None else [0, -1]
-    sigma[:, ends] = np.hypot(sigma[:, ends], np.nan_to_num(np.ptp(found.length_range, axis=1, keepdims=True)) / 4 / np.sqrt(3))
+    sound, sigma = _found(found)[:, None], sigma_with_length(found.sigma, found.length_range, task.sets.point is None)
     return {
         "name": np.array(task.sets.names), "vertices_mm": found.vertices, "rest_length_mm": task.rest_length, "up": task.up,
         "valid": sound & np.isfinite(found.vertices).all(axis=-1),
@@ -206,6 +203,15 @@ def _arrays(task: PerceptionTask, found) -> dict[str, np.ndarray]:
         "length_range_mm": found.length_range, "gap_px": found.gap, "runner_up_mm": found.runner_up,
         "runner_up_energy_vis": found.runner_up_energy,
     }
+
+
+def sigma_with_length(sigma: np.ndarray, length_range: np.ndarray, clicked: bool) -> np.ndarray:
+    """``sigma`` (S, V) mm of the vertices, where the last one, and a ``clicked`` first one, is as uncertain along the rod as
+    its length between ``length_range`` (S, 2) mm, a range of 4 σ."""
+    sigma, along = sigma.copy(), np.nan_to_num(np.ptp(length_range, axis=1, keepdims=True)) / 4 / np.sqrt(3)
+    ends = [0, -1] if clicked else [-1]
+    sigma[:, ends] = np.hypot(sigma[:, ends], along)
+    return sigma
 
 
 def _found(found) -> np.ndarray:

@@ -5,12 +5,13 @@ from argparse import Namespace
 from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from doo_ti.commands import image_options
 from doo_ti.commands import options as given
-from doo_ti.commands.perceive import LEAST_SIGMA_MM
+from doo_ti.commands.perceive import LEAST_SIGMA_MM, sigma_with_length
 from doo_ti.commands.results import listed, refuse_overwriting, report, rows, save_arrays
 from doo_ti.io.arrays import read_csv
 from doo_ti.io.motion_file import load_path
@@ -19,6 +20,9 @@ from doo_ti.system.arguments import counted
 from doo_ti.system.errors import InputError, InterruptedRunError
 from doo_ti.system.terminal import can_record, in_line, progress, warn
 from doo_ti.vision.images import SEED, SEEDS, ImageSets, cameras_in, clicks_in, images_in, seed_columns
+
+if TYPE_CHECKING:
+    from doo_ti.perception.seeds import WholeThreads
 
 MOST_LISTED = 30
 VIDEOS = (".avi", ".mkv", ".mov", ".mp4", ".mpg", ".webm")
@@ -52,9 +56,9 @@ def run(options: Namespace) -> int:
     out = options.out
     refuse_overwriting(out, options.frames, options.motion, options.rest_length)
     task = tracking_task(options)
-    rest_length, found, problem = _tracked(task)
+    rest_length, length_range, found, problem = _tracked(task)
     image_options.warn_of_length(options, rest_length.sum())
-    result = _arrays(task, rest_length, found)
+    result = _arrays(task, rest_length, length_range, found)
     save_arrays(out, result)
     if problem is not None:
         raise InterruptedRunError(f"{problem}; {len(found)} of {task.sets.count} frames are kept in {out}; the same command "
@@ -136,23 +140,27 @@ class _Start:
     direction: np.ndarray
 
 
-def _tracked(task: TrackingTask) -> tuple[np.ndarray, list, str | None]:
-    """(E,) mm, the tracked frames, and the error that ended tracking, or None. An error before the first frame is raised."""
+def _tracked(task: TrackingTask) -> tuple[np.ndarray, np.ndarray, list, str | None]:
+    """(E,) mm, (2,) mm between which their sum is, NaN where it is given, the tracked frames, and the error that ended
+    tracking, or None. An error before the first frame is raised."""
     from doo_ti.perception.perceive import PerceptionVerdict
     from doo_ti.perception.tracking import Tracker
 
     frames, rest_length, known, problem = task.sets, task.rest_length, None, None
-    found, starts, sigma, seen = [], [], [], []
+    found, starts, sigma, seen, length_range = [], [], [], [], np.full(2, np.nan)
     try:
         with progress() as bar:
             shown = bar.add_task("tracking", total=frames.count, unit="frames")
             for row, detected in enumerate(image_options.detections(task.sight, frames.paths, frames.rig.cameras)):
                 start = starts[-1] if starts else None
                 if frames.point is not None or frames.clicks[row]:
-                    start, length = _begun(task, row, detected, start, known)
+                    start, thread = _begun(task, row, detected, start, known)
                 if row == 0:
-                    rest_length = task.length_bounds.rest_length(length) if rest_length is None else rest_length
-                    tracker = Tracker(frames.rig, rest_length, task.material, up=task.up, surroundings=task.surroundings)
+                    if rest_length is None:
+                        rest_length = task.length_bounds.rest_length(float(thread.length[0]))
+                        length_range = np.clip(thread.range[0], task.length_bounds.least, task.length_bounds.most)
+                    tracker = Tracker(frames.rig, rest_length, task.material, up=task.up, surroundings=task.surroundings,
+                                      length_range=length_range)
                 far = None if task.far is None or row == 0 else task.far[row - 1]
                 sigma.append(0.0 if frames.point is not None else
                              float(np.hypot(start.sigma, _off_thread(frames.rig, detected, start.point))))
@@ -167,7 +175,7 @@ def _tracked(task: TrackingTask) -> tuple[np.ndarray, list, str | None]:
         if not found:
             raise
         problem = str(error) or "interrupted"
-    return rest_length, found, problem
+    return rest_length, length_range, found, problem
 
 
 def _look_back(tracker, found: list, seen: list, starts: list[_Start], sigma: list[float]) -> None:
@@ -195,8 +203,8 @@ def _off_thread(rig, detected: list, point: np.ndarray) -> float:
 
 
 def _begun(task: TrackingTask, row: int, detected: list, before: _Start | None, known: np.ndarray | None
-           ) -> tuple[_Start, float]:
-    """The start of a frame, and how long the thread is from there on, mm; NaN where that need not be known. Where nothing was
+           ) -> tuple[_Start, "WholeThreads | None"]:
+    """The start of a frame, and the thread from there on; None where that need not be known. Where nothing was
     detected at a click it is that of the frame ``before``; else it is near the last one ``known`` to be right. Raises
     InputError where no thread can be followed."""
     from doo_ti.perception.seeds import seed_from_pixels, whole_threads
@@ -210,29 +218,31 @@ def _begun(task: TrackingTask, row: int, detected: list, before: _Start | None, 
             if before is None:
                 raise
             warn(f"{source}: {error.problem}; the start of the frame before is taken")
-            return before, np.nan
+            return before, None
         point, sigma = seed.point, seed.sigma
     else:
         point, direction = frames.point[row], frames.direction[row : row + 1]
         if row or task.rest_length is not None:
-            return _Start(point, sigma, direction[0]), np.nan
+            return _Start(point, sigma, direction[0]), None
     thread = whole_threads(frames.rig, [detected], point[None], direction, task.material, task.up)
     if np.isnan(thread.length[0]):
         if before is not None:
-            return before, np.nan
+            return before, None
         raise InputError(source, "seed", "no thread can be followed from it", "give another, or --rest-length")
-    return _Start(point, sigma, thread.direction[0]), float(thread.length[0])
+    return _Start(point, sigma, thread.direction[0]), thread
 
 
-def _arrays(task: TrackingTask, rest_length: np.ndarray, found: list) -> dict[str, np.ndarray]:
+def _arrays(task: TrackingTask, rest_length: np.ndarray, length_range: np.ndarray, found: list) -> dict[str, np.ndarray]:
     """The arrays of the file; docs/commands/track.md."""
     fields = {"vertices_mm": "vertices", "energy_vis": "energy_vis", "camera_error_px": "camera_error", "status": "status",
             "stable": "stable", "how": "how", "verdict": "verdict"}
     time = {} if task.time is None else {"time_s": task.time[: len(found)]}
+    sigma = sigma_with_length(np.array([frame.sigma for frame in found]), length_range[None], task.sets.point is None)
     return {
-        "name": np.array(task.sets.names[: len(found)]), **time, "rest_length_mm": rest_length, "up": task.up,
+        "name": np.array(task.sets.names[: len(found)]), **time, "rest_length_mm": rest_length,
+        "length_range_mm": length_range, "up": task.up,
         **{key: np.array([getattr(frame, name) for frame in found]) for key, name in fields.items()},
-        "sigma_mm": np.maximum([frame.sigma for frame in found], LEAST_SIGMA_MM),
+        "sigma_mm": np.maximum(sigma, LEAST_SIGMA_MM),
     }
 
 
@@ -240,15 +250,17 @@ def _summary(task: TrackingTask, found: list, result: dict, written: list[Path])
     from doo_ti.perception.perceive import CERTAIN_MM, PerceptionVerdict
     from doo_ti.perception.tracking import How
 
+    start = np.array([frame.sigma[0] for frame in found])
     how, error, lengths = (result[name] for name in ("how", "camera_error_px", "rest_length_mm"))
     return {
         "frames": len(how), "cameras": task.sets.rig.names, "edges": len(lengths), "length_mm": lengths.sum(),
+        "length_range_mm": result["length_range_mm"],
         **{each.name.lower(): result["name"][how == each] for each in How},
         "verdicts": {each.name.lower(): result["name"][(how < How.LOST) & (result["verdict"] == each)]
                      for each in PerceptionVerdict if each != PerceptionVerdict.NOT_FOUND},
         "doubts": dict(Counter(doubt for frame in found for doubt in frame.doubts)),
-        "start_sigma_mm": np.nanmax(result["sigma_mm"][:, 0], initial=0.0),
-        "stable": result["stable"].sum(), "uncertain": result["name"][result["sigma_mm"][:, 0] > CERTAIN_MM],
+        "start_sigma_mm": np.nanmax(start, initial=0.0),
+        "stable": result["stable"].sum(), "uncertain": result["name"][start > CERTAIN_MM],
         "camera_error_px": error[np.isfinite(error)].mean() if (how < How.LOST).any() else None,
         "orientation": image_options.orientation_note(
             (path for line in task.sets.paths for path in line), task.sets.rig.cameras[0].turned),
@@ -268,7 +280,8 @@ def _lines(summary: dict) -> list[str]:
     of_others = ", ".join(f"{doubt} in {count}" for doubt, count in sorted(doubts.items(), key=lambda one: -one[1]))
     return [
         f"{summary['frames']} frames of {len(summary['cameras'])} images, a rod of {summary['edges']} edges, "
-        f"{summary['length_mm']:.4g} mm long",
+        f"{summary['length_mm']:.4g} mm long" + ", found in the first frame, {:.4g} to {:.4g} mm".format(
+            *summary["length_range_mm"]) * bool(np.isfinite(summary["length_range_mm"]).all()),
         *rows(
             ("tracked", f"{len(summary['tracked'])} frames, each from the one before"),
             ("seeded", frames(summary["seeded"], "by Algorithm 1")),

@@ -40,10 +40,11 @@ the rod's energy, which depends on an inexact Θ, between rods that fit the imag
 FITTING_PX = 1.0  # bound of the distance to the detection; with more in any camera, something else was detected
 LEAST_COVERED = 0.5, 0.25  # bounds of the share of the detected line that a likely rod explains, and one that is shorter
 MOST_SKIPPED = 3.0  # bound of the piece of line that a clear or likely rod leaves out, over its width; others may cut corners
-UNCERTAIN, CERTAIN_MM = 0.1, 1.0  # bounds of the vertices' sigma: of a likely rod, over its length, and of a clear one
+UNCERTAIN, CERTAIN_MM = 0.1, 1.0
+"""Bounds of the vertices' sigma: of a likely rod, over its length, as of the share that no camera shows; and of a clear one."""
 CERTAIN_LENGTH = 0.03
-"""Bound of the uncertainty of a length that was found, that of its ends included, as a share of it. A rod that is too long by
-that may be off the thread along the line of sight by some hundredths of its length."""
+"""Bound, for a clear rod, of the share that no camera shows, and of the uncertainty of a length that was found, that of its
+ends included. A rod that is too long by that may be off the thread along the line of sight by some hundredths of its length."""
 LEAST_SHOWN = 0.5  # bound of the share of a rod's edges that some camera shows, of a rod that was found
 LOST_PX = 3.0  # bound of the largest distance where no two cameras fit: a rod farther off is not the thread in the images
 
@@ -56,7 +57,7 @@ class PerceptionVerdict(IntEnum):
     LIKELY     a gap of at least 0.02 px, to which the rod's energy may help; or a wider gap, but the rod is off the line
     AMBIGUOUS  either of two may be the rod; or there is one camera, which shows no depth; or it has not converged, is shorter
                than its paths, or in all cameras but one explains less than half of the line, leaves a piece out or passes along
-               it twice; or a vertex is uncertain by a tenth of the rod's length
+               it twice; or a tenth of it is in no camera or beyond the thread's end, or a vertex is uncertain by as much
     NOT_FOUND  mean distance above 1 px in all cameras but one and above 3 px in one, also without the edges that no camera
                shows, or more than half of all are such edges: other cameras, a wrong rig, seed or length
     """
@@ -142,6 +143,7 @@ class Perception:
             "off the line": ~(self.camera_error <= FITTING_PX).all(axis=1),
             "a piece left out": (self.skipped > MOST_SKIPPED).any(axis=1), "a line twice": self._often(self.twice),
             "along something wider": (self.wider > MOST_SKIPPED).any(axis=1),
+            "rod unseen": self.unsupported.mean(axis=1) > CERTAIN_LENGTH,
             "thread unexplained": (self.coverage < COVERED).any(axis=1) | (self.left_over > CERTAIN_LENGTH * length),
             "places uncertain": (self.sigma > CERTAIN_MM).any(axis=1), "one camera": np.full(len(self.gap), self._two == 0),
             "another length": np.abs(self.thread_length / length - 1) > SAME_LENGTH,
@@ -184,7 +186,9 @@ class Perception:
         whole, part = LEAST_COVERED
         likely &= explained >= np.maximum(whole * np.fmin(1.0, length / self.thread_length), part)
         likely &= ~(self.thread_length > self.length_range[:, 1])  # the length and the paths contradict each other
-        likely &= ~self._often(self.skipped) & ~self._often(self.twice) & ~(self.sigma.max(axis=1) > UNCERTAIN * length)
+        likely &= ~(self.thread_length < (1 - UNCERTAIN) * length)  # it ends where no thread is
+        likely &= ~self._often(self.skipped) & ~self._often(self.twice)
+        likely &= ~(self.unsupported.mean(axis=1) > UNCERTAIN) & ~(self.sigma.max(axis=1) > UNCERTAIN * length)
         kinds = PerceptionVerdict.NOT_FOUND, PerceptionVerdict.CLEAR, PerceptionVerdict.LIKELY
         return np.select([lost, clear, likely], kinds, PerceptionVerdict.AMBIGUOUS).astype(np.int8)
 

@@ -27,6 +27,7 @@ from doo_ti.perception.perceive import (
     perceive,
     perception_of,
 )
+from doo_ti.perception.posterior import COVERED
 from doo_ti.perception.search import Hypotheses, PerceptionOptions, Search, explained
 from doo_ti.rod.frames import (
     bishop_frames,
@@ -139,19 +140,21 @@ class Tracker:
     rig, rest_length, material, up, search   as in :func:`doo_ti.perception.perceive.perceive`, ``search`` its options
     options                                  when the rod counts as lost
     surroundings                             obstacles that the rod may touch but not enter, and its radius
+    length_range                             (2,) mm between which the length is, where it was found in images
 
     Raises InputError for a rig of one camera, and as that function does.
     """
 
     def __init__(self, rig: Rig, rest_length: ArrayLike, material: Material, *, up: ArrayLike = (0.0, 0.0, 1.0),
                  search: PerceptionOptions = PerceptionOptions(), options: TrackingOptions = TrackingOptions(),
-                 surroundings: Surroundings = Surroundings()) -> None:
+                 surroundings: Surroundings = Surroundings(), length_range: ArrayLike | None = None) -> None:
         if len(rig.cameras) < FEWEST_CAMERAS:
             raise InputError("Tracker", "rig", "one camera, which shows no depth", "give two or more, or `perceive` the images")
         self._rig, self._material, self._search, self._options = rig, material, search, options
         self._rest_length, self._up = checked_rod("Tracker", rest_length, material, up)
-        self._surroundings = surroundings
+        self._surroundings, self._length_range = surroundings, length_range
         self._last: Perception | None = None  # of one rod, in the cameras that saw a thread
+        self._threads: list[float] = []  # mm, how long the thread was in the runs of Algorithm 1
         self._usual = np.inf  # px, mean over the cameras: the least since the last run of Algorithm 1
 
     @typed
@@ -177,6 +180,7 @@ class Tracker:
             self._usual = np.inf
             seeded = perceive(search.maps, search.rig, search.point, search.direction, self._rest_length, self._material,
                               up=self._up, options=self._search, surroundings=self._surroundings, start_sigma=sigma)
+            self._threads += seeded.thread_length[np.isfinite(seeded.thread_length)].tolist()
             if rod is None or _is_better(seeded, rod):
                 rod, how = seeded, How.SEEDED
         if not self._sound(rod):
@@ -242,10 +246,13 @@ class Tracker:
         return Configuration(fine.start, fine.quaternions[:, pieces // 2 :: pieces], self._rest_length)
 
     def _sound(self, rod: Perception) -> bool:
-        """Whether the rod has converged on the detected line, as far as any camera shows it."""
+        """Whether the rod has converged on the detected line, as far as any camera shows it: in two cameras, or in one of three
+        where it is likely and explains all that the others detect, from which something hides a piece."""
         if rod.status[0] != Status.CONVERGED or rod.verdict[0] == PerceptionVerdict.NOT_FOUND:
             return False
-        return np.sort(rod.shown_error[0])[FEWEST_CAMERAS - 1] <= self._options.lost_px
+        whole = rod.verdict[0] <= PerceptionVerdict.LIKELY and (rod.coverage[0] >= COVERED).all()
+        needed = 1 if whole and len(rod.coverage[0]) > FEWEST_CAMERAS else FEWEST_CAMERAS
+        return np.sort(rod.shown_error[0])[needed - 1] <= self._options.lost_px
 
     def _goes_on(self, rod: Perception) -> bool:
         """Whether the tracked rod needs no second opinion."""
@@ -253,7 +260,11 @@ class Tracker:
         return self._sound(rod) and not worse and rod.verdict[0] <= PerceptionVerdict.LIKELY
 
     def _frame(self, found: Perception, how: How, search: Search) -> TrackedFrame:
-        """The result of a frame."""
+        """The result of a frame. A thread that was not traced there is as long as in others."""
+        if np.isnan(found.thread_length[0]) and self._threads:
+            found = replace(found, thread_length=np.full(1, np.median(self._threads)))
+        if self._length_range is not None:
+            found = replace(found, length_range=np.reshape(self._length_range, (1, 2)))
         error = np.full(len(self._rig.cameras), np.nan)
         error[[self._rig.names.index(name) for name in search.rig.names]] = found.camera_error[0]
         return TrackedFrame(found.vertices[0], found.sigma[0], found.energy_vis[0], error, Status(found.status[0]),

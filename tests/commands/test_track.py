@@ -58,7 +58,8 @@ def test_a_video_is_tracked_and_recorded(filmed, capsys):
     assert sorted(path.name for path in Path("new").iterdir()) == ["f.npz", "f.rrd"]
     found = written("new/f.npz")
     assert {name: value.shape for name, value in found.items()} == {
-        "name": (FRAMES,), "time_s": (FRAMES,), "rest_length_mm": (EDGES,), "up": (3,), "vertices_mm": (FRAMES, EDGES + 1, 3),
+        "name": (FRAMES,), "time_s": (FRAMES,), "rest_length_mm": (EDGES,), "up": (3,), "length_range_mm": (2,),
+        "vertices_mm": (FRAMES, EDGES + 1, 3),
         "energy_vis": (FRAMES,), "camera_error_px": (FRAMES, 3), "status": (FRAMES,), "stable": (FRAMES,), "how": (FRAMES,),
         "verdict": (FRAMES,), "sigma_mm": (FRAMES, EDGES + 1)}
     assert "".join(map(str, found["how"])) == "1000221000000000"
@@ -84,7 +85,8 @@ def test_a_video_is_tracked_from_a_click(filmed, tmp_path, capsys):
     assert (found["sigma_mm"][:, 0] > 0.05).all(), "a click is no exact seed"
     for rod, truth in zip(found["vertices_mm"], rods(), strict=False):
         assert cKDTree(smooth_curve(truth, 20)).query(rod)[0].mean() < 0.3
-    assert "uncertain" not in printed
+    low, high = found["length_range_mm"]
+    assert low < LENGTH * EDGES < high and "length uncertain in 2" in printed and "whose start is uncertain" not in printed
     changed(filmed, frames, lambda _: [f"{line},{own}" for line, own in zip(frames.read_text().split(), ("cam1_u", "3"))])
     refused(capsys, tmp_path, clicked, "cam1_u", "either")
     refused(capsys, tmp_path, of(filmed, "--seed-pixel cam1:3,3"), "--seed-pixel", "seed_x")

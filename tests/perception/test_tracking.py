@@ -128,15 +128,25 @@ def test_the_uncertainty_of_a_start_counts_in_that_of_its_rod(video):
         assert (other.sigma > one.sigma).all() and np.linalg.norm(other.vertices - rod, axis=-1).max() < 3 * other.sigma.max()
 
 
-def test_a_rod_behind_a_bar_is_followed(video):
-    """From the second frame on no camera shows a fifth of it: the rest leaves little to choose there."""
+@pytest.mark.parametrize("blind", [3, 2])
+def test_a_rod_behind_a_bar_is_followed(video, blind):
+    """From the second frame on none of so many cameras shows a fifth of it: the rest leaves little to choose there."""
     rig = three_cameras()
-    hidden = [[found.take(np.linalg.norm(found.points[:, None] - camera.project(rod[8:13]), axis=-1).min(axis=1) > 12.0)
-               for camera, found in zip(rig.cameras, frame, strict=True)]
+    hidden = [[found if number >= blind else found.take(np.linalg.norm(
+        found.points[:, None] - camera.project(rod[8:13]), axis=-1).min(axis=1) > 12.0)
+               for number, (camera, found) in enumerate(zip(rig.cameras, frame, strict=True))]
               for frame, rod in zip(video[1:4], rods()[1:4], strict=True)]
     found, error = tracked(video[:1] + hidden, rods()[:4])
     assert How.LOST not in [frame.how for frame in found] and found[3].how == How.TRACKED
     assert error.max() < 0.3 and min(frame.camera_error.max() for frame in found[1:]) > d.TrackingOptions().lost_px
+
+
+def test_a_rod_longer_than_the_thread_is_doubted(video):
+    """By three edges of twenty; in a frame that was tracked as well, where no thread was traced."""
+    tracker = Tracker(three_cameras(), np.full(EDGES + 3, LENGTH), MATERIAL)
+    for detected, rod in zip(video[:2], rods(), strict=False):
+        found = tracker.see(detected, rod[0], rod[1] - rod[0])
+        assert found.verdict == PerceptionVerdict.AMBIGUOUS and "another length" in found.doubts
 
 
 @pytest.mark.thorough
