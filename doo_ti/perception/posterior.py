@@ -29,7 +29,8 @@ the rod off the line: glints, cameras that disagree about where the thread is, b
 H_E is the Hessian of the rod's bending energy E over its stiffness. How strongly rods of this kind bend is taken from the rod
 itself: with J joints the mean of E is J T in a Gaussian density e^{−E/T}. Where images say little, as of the depth where
 cameras are close together, the rod's stiffness is all that is known, and sigma is large. Rest lengths count as exact, as do a
-seed whose σ is not given, and the rig where its errors do not keep the rod off the lines.
+seed whose σ is not given, and the rig where its errors do not keep the rod off the lines. An end that kinks as the rod does
+nowhere else follows a line of what holds it: by so much its last vertex is uncertain.
 
 Sensor noise alone moves detected points by about 0.02 px, over about 4 px of line; the default σ and ℓ of
 :class:`doo_ti.perception.search.PerceptionOptions` are larger, so that sigma is as large as the errors measured on renderings
@@ -63,6 +64,7 @@ MERGED_PX = 0.3  # h: where the line is farther off the rod, other strands are l
 LAST = np.s_[:, :, -1, -1]  # of (A, C, E, K) places
 NOISE_PX3 = 0.05  # N, of the usual σ and ℓ; a line's end has the weight N over the variance of where the line ends
 TURNING, STRAIGHT = 2.0, 0.06  # rad that rods turn by at least, for T in ν and for T in the covariance
+FEWEST_JOINTS = 5  # changes of curvature along a rod, from which on one at its end may be told from the others
 NEIGHBOURS = 8  # points nearest to a place that are looked at: the nearest may be of a strand that crosses there
 COVERED = 0.95  # share of a detected line with which a rod is one of the whole thread
 ALONG = 1e-3  # share that counts of a distance along the line
@@ -202,7 +204,19 @@ def vertex_sigma(rig: Rig, vertices: np.ndarray, sigma_px: float, correlation_px
     covariance = np.linalg.inv(seen_once / noise[:, None, None] + stiff)
     moved = _vertex_movement(turns, length)  # (A, V, 3, P)
     variance = np.einsum("avxp,apq,avxq->av", moved, covariance, moved, optimize=True)
+    kinks = _kinks(vertices)
+    variance[:, -1] += kinks[:, 1] ** 2
+    variance[:, 0] += np.where(start[:, 0] > 0, kinks[:, 0], 0.0) ** 2
     return np.sqrt(np.maximum(variance, 0.0) / 3)
+
+
+def _kinks(vertices: np.ndarray) -> np.ndarray:
+    """(A, 2) mm by which the first and the last vertex are beside where the rod would go on, its curvature changing as evenly
+    as anywhere else: no elastic rod turns so at its end, but a line beside it does, of what holds it."""
+    uneven = np.linalg.norm(np.diff(vertices, n=3, axis=1), axis=-1)
+    if uneven.shape[1] < FEWEST_JOINTS:
+        return np.zeros((len(vertices), 2))
+    return np.maximum(uneven[:, [0, -1]] - uneven[:, 1:-1].max(axis=1)[:, None], 0.0)
 
 
 def _vertex_movement(turns: np.ndarray, length: np.ndarray) -> np.ndarray:

@@ -13,7 +13,7 @@ from doo_ti.perception.growth import rank_distinct, sampled_directions, select_h
 from doo_ti.perception.perceive import Perception, PerceptionVerdict, perceive
 from doo_ti.perception.posterior import bending_hessian, vertex_sigma
 from doo_ti.perception.tracking import TrackingOptions
-from doo_ti.rod.frames import arc_lengths, placed, unit_vectors
+from doo_ti.rod.frames import across, arc_lengths, placed, unit_vectors
 from doo_ti.vision.images import load_sets, read_image
 from doo_ti.vision.tubes import smooth_curve
 from tests.conftest import check_refused
@@ -220,6 +220,15 @@ def test_sigma_grows_along_the_rod_and_with_the_noise(scene):
     assert (twice[:, 2:] > 1.2 * one[:, 2:]).all() and (twice[:, 2:] < 2 * one[:, 2:]).all(), "stiffness smooths noise"
     apart = [vertex_sigma(cameras(angle, third=False), rods, 0.1, 5.0)[:, 2:].mean() for angle in (40.0, 10.0, 2.0)]
     assert apart[0] < apart[1] < apart[2] and apart[2] > 3 * apart[0], "depth is uncertain where cameras are close together"
+
+
+def test_an_end_that_kinks_is_uncertain_by_that(scene):
+    """As where the border of a gripper goes on from the thread that it hides."""
+    rig, rods, _ = scene
+    bent = rods.copy()
+    bent[:, -1] += 5.0 * across(unit_vectors(rods[:, -1] - rods[:, -2]))
+    smooth, kinked = (vertex_sigma(rig, own, 0.1, 5.0, start_sigma=0.5) for own in (rods, bent))
+    assert (smooth < 1.0).all() and (kinked[:, :-1] < 1.0).all() and (kinked[:, -1] > 4.0 / np.sqrt(3)).all()
 
 
 @pytest.mark.thorough
