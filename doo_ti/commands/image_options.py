@@ -6,6 +6,7 @@ from argparse import ArgumentParser, Namespace
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from itertools import permutations
 from pathlib import Path
 
 import numpy as np
@@ -25,6 +26,7 @@ from doo_ti.vision.images import ImageSets, load_sets, orientation_tags
 from doo_ti.vision.rig_files import load_rig
 
 MOST_HYPOTHESES = 100_000
+MOST_ORDERED = 4  # cameras, of which all orders are tried
 AHEAD = 16  # lines of images in which threads are detected while one is used
 RECORDED = 3  # sets in a recording
 EDGES, MOST_GUESSED, BOW = 33, 100, 1 / 2000
@@ -171,7 +173,7 @@ def warn_of_length(options: Namespace, length: float) -> None:
 def warn_of_rig(options: Namespace, sets, length: float, verdicts: np.ndarray, detected: Sequence[list]) -> None:
     """Print a warning where found rods of ``length`` mm are in another unit, and, where no rod is clear, if the lines
     ``detected`` in the first clicked set fit together much better with the rig's file read otherwise, by options that were not
-    given."""
+    given, or as images of the cameras in another order."""
     from doo_ti.perception.perceive import PerceptionVerdict
     from doo_ti.perception.seeds import fit_better
 
@@ -179,14 +181,18 @@ def warn_of_rig(options: Namespace, sets, length: float, verdicts: np.ndarray, d
         warn_of_length(options, length)
     if sets.clicks is None or (verdicts == PerceptionVerdict.CLEAR).any():
         return
-    others = {option: other for other, _, option in sets.rig.read_otherwise() if other.reading.unit is None}
+    others = {f"with {option}": other for other, _, option in sets.rig.read_otherwise() if other.reading.unit is None}
+    orders = permutations(range(len(sets.rig.cameras))) if len(sets.rig.cameras) <= MOST_ORDERED else ()
+    others |= {f"as those of {', '.join(sets.rig.names[k] for k in order)}": sets.rig.take(order)
+               for order in orders if list(order) != sorted(order)}
     try:
-        others["--rig-lens fisheye"] = load_rig(options.rig, replace(sets.rig.reading, lens="fisheye")).only(sets.rig.names)
+        fisheye = load_rig(options.rig, replace(sets.rig.reading, lens="fisheye"))
+        others["with --rig-lens fisheye"] = fisheye.only(sets.rig.names)
     except InputError:
         pass  # a file that states another lens
     better = fit_better(sets.rig, others, detected[0], sets.clicks[0])
     if better:
-        warn(f"{in_line(options.rig)}: the images fit together better with {' or '.join(better)}; give it if the file is so")
+        warn(f"{in_line(options.rig)}: the images fit together better {' or '.join(better)}; change that if it is so")
 
 
 def orientation_note(paths: Iterable[Path], turned: bool) -> str | None:

@@ -56,7 +56,7 @@ def run(options: Namespace) -> int:
     out = options.out
     refuse_overwriting(out, options.frames, options.motion, options.rest_length)
     task = tracking_task(options)
-    rest_length, length_range, found, problem = _tracked(task)
+    rest_length, length_range, found, problem = _tracked(options, task)
     image_options.warn_of_length(options, rest_length.sum())
     result = _arrays(task, rest_length, length_range, found)
     save_arrays(out, result)
@@ -140,7 +140,7 @@ class _Start:
     direction: np.ndarray
 
 
-def _tracked(task: TrackingTask) -> tuple[np.ndarray, np.ndarray, list, str | None]:
+def _tracked(options: Namespace, task: TrackingTask) -> tuple[np.ndarray, np.ndarray, list, str | None]:
     """(E,) mm, (2,) mm between which their sum is, NaN where it is given, the tracked frames, and the error that ended
     tracking, or None. An error before the first frame is raised."""
     from doo_ti.perception.perceive import PerceptionVerdict
@@ -165,6 +165,8 @@ def _tracked(task: TrackingTask) -> tuple[np.ndarray, np.ndarray, list, str | No
                 sigma.append(0.0 if frames.point is not None else
                              float(np.hypot(start.sigma, _off_thread(frames.rig, detected, start.point))))
                 frame = tracker.see(detected, start.point, start.direction, far, sigma[-1])
+                if row == 0 and frame.verdict == PerceptionVerdict.NOT_FOUND:
+                    image_options.warn_of_rig(options, frames, rest_length.sum(), np.array([frame.verdict]), [detected])
                 known = start.point if frame.verdict <= PerceptionVerdict.LIKELY else known
                 found.append(frame)
                 starts.append(start)

@@ -9,7 +9,7 @@ Threads of unknown length end where they end in the images. Between cameras that
 along the line of sight, and explains the images as well as a shorter one. So its length is chosen by E_vis with evidence from
 both sides, too: the best rods are relaxed again with lengths a little shorter and longer. Those whose E_vis is nearly the
 least are the range of the length, widened on both sides by the width of the line's ends. The length at which the rod ends where
-its paths end is taken if it is in the range, otherwise the one with the least E_vis.
+its paths end is taken if it is in the range, else that with the least E_vis.
 
 Axes: A image sets, R rods, L lengths.
 """
@@ -34,14 +34,13 @@ from doo_ti.vision.triangulation import rays
 
 END_PX = 15.0  # an end this near to a click is meant
 EPIPOLAR_PX = 8.0  # an end this near to the epipolar line of a click may be its image
-MOST_ENDS, MOST_CHOICES = 12, 24
+MOST_ENDS, MOST_CHOICES, FEW_PLACES = 12, 24, 150  # the last of the curves by which rigs are compared
 LINE_PX, INSIDE_PX = 0.8, 3.0  # standard deviations of a place: across the line, and along it where no end is meant
 SMOOTH, TANGENT = 100.0, 5  # of the curve; its places between which it has a direction
 MISSED_PX = 0.2  # cost of rays that miss each other by as much as their places are uncertain along the line, times that
 INSIDE_COST, HIDDEN_COST = 0.5, 0.5  # px, of a place that is no end of a line, and of a camera that sees no start
 ALIKE_COST = 0.06  # px: standard deviation, over √½, of the cost of a choice that belongs together
 MUCH_BETTER, A_LITTLE_PX = 0.75, 0.1  # share of the cost under a rig, and px, below which it is under one that fits much better
-FEW_PLACES = 150  # of the curves by which rigs are compared
 FAR = 30.0  # distances between cameras: how far away a thread is thought to begin whose rays do not meet in front of them
 
 
@@ -128,7 +127,8 @@ def _beginnings(rig: Rig, detections: Sequence[Detection], clicks: Mapping[int, 
         if begun is not None:
             found.append((begun[0] + miss, *begun[1:]))
     if not found:
-        raise InputError(source, "--seed-pixel", "no thread can be followed from there", "give another pixel, or --seed-point")
+        remedy = "give another pixel, --seed-point, or images in the order of the cameras"
+        raise InputError(source, "--seed-pixel", "no thread can be followed from there", remedy)
     return found
 
 

@@ -92,6 +92,14 @@ def test_a_video_is_tracked_from_a_click(filmed, tmp_path, capsys):
     refused(capsys, tmp_path, of(filmed, "--seed-pixel cam1:3,3"), "--seed-pixel", "seed_x")
 
 
+def test_images_in_another_order_are_said(filmed, capsys):
+    frames, (u, v) = filmed / "swapped.csv", three_cameras().cameras[0].project(rods()[0, :1])[0]
+    changed(filmed, frames, lambda _: ["frame,cam0,cam1,cam2", "0,000_cam0.png,000_cam2.png,000_cam1.png"])
+    err = ended(capsys, f"track --rig {filmed}/rig.yaml --frames {frames} --seed-pixel cam0:{u:.0f},{v:.0f} --no-recording "
+                        f"--rest-length {LENGTH}:{EDGES} --out new/f.npz", 1)[1]
+    assert "as those of cam0, cam2, cam1" in err
+
+
 def test_a_start_that_the_thread_has_left_is_uncertain():
     rig, rod = three_cameras(), smooth_curve(rods()[0], 20)
     seen = [detect(image) for image in images()[0]]
