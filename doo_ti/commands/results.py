@@ -18,6 +18,8 @@ from doo_ti.system.errors import InputError
 from doo_ti.system.files import write_text, write_whole
 from doo_ti.system.terminal import in_line
 
+ROUNDING = 1e-9  # share of a force: smaller components are rounding
+
 # --- files ---------------------------------------------------------------------------------------------------------------
 
 
@@ -75,7 +77,9 @@ def force_rows(arrays: dict[str, np.ndarray], axis: int) -> list[tuple[str, str]
     if not last.any():
         return found
     if len(last) == 1:
-        ends = f"{np.linalg.norm(last):.3g} N ({', '.join(f'{value + 0:.3g}' for value in last[0])})"
+        whole = np.linalg.norm(last)
+        parts = np.where(np.abs(last[0]) < ROUNDING * whole, 0.0, last[0])
+        ends = f"{whole:.3g} N ({', '.join(f'{value:.3g}' for value in parts)})"
     else:
         ends = " to ".join(f"{end(np.linalg.norm(last, axis=-1)):.3g}" for end in (np.min, np.max)) + " N"
     return [("force", f"the far clamp exerts {ends} on the rod at the end, {np.nanmax(size):.3g} N at most"), *found]

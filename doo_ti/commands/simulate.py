@@ -29,7 +29,7 @@ from doo_ti.report.motions import save_animation, save_rollout
 from doo_ti.rod.types import Clamp, Status
 from doo_ti.system.arguments import counted
 from doo_ti.system.errors import InputError
-from doo_ti.system.terminal import busy, in_line, progress
+from doo_ti.system.terminal import busy, in_line, progress, warn
 
 CLAMPS = ("clamp_start", "clamp_end")
 MOST_LISTED = 8
@@ -119,6 +119,9 @@ def run(options: Namespace) -> int:
         arrays = {key: value[0] if key in per_rod else value for key, value in arrays.items()}
     results.save_arrays(out, arrays, ("frame",) if found.alone else ("rod", "frame"))
     _draw(found, options.picture, options.recording, options.animation)
+    if summary.get("above_tolerance"):
+        warn(f"{in_line(options.source)}: the time steps of {counted(summary['above_tolerance'], 'rod')} are off by more than "
+             f"--tolerance with {int(found.substeps.max())} of them a frame; give --most-substeps, or more frames a second")
     results.report(options, summary, lambda: _lines(found, summary, whole))
     return 0 if (found.status[:, -1] == Status.CONVERGED).any() else 1
 

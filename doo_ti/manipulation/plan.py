@@ -36,6 +36,7 @@ from doo_ti.system.runtime import working_time
 SAMPLES = 32  # random rods that a tree grows towards at once, and ways that are tried for a shortcut
 AROUND = 0.5  # of the rod's length: random rods are at most so far outside the box around the rod and its goals
 SHORTCUTS = 4  # rounds in which a way is shortened
+DETOUR = 2.0  # goals so many times farther away than the nearest are tried when half of the time is over
 NEARLY = 1.2  # goals that are so many times further from the target than the nearest one count as well
 LEAST = 1e-2  # mm, between two moments
 SECOND = 10.0  # mm that the grippers move in a second of the path's time
@@ -123,7 +124,7 @@ class _Planner:
                  ends: float):
         self._space, self._targets, self._options, self._ends = space, targets, options, ends
         self._begin, goals = self._begin_and_goals(rod, clamps)
-        self._start, self._goals = Tree(self._begin.rods, space), Tree(goals, space)
+        self._start, self._goals, self._every = Tree(self._begin.rods, space), Tree(goals, space), goals
         self._random = np.random.default_rng(options.seed)
         places = np.concatenate([tree.rods.vertices.reshape(-1, 3) for tree in (self._start, self._goals)])
         self._low, self._high = places.min(axis=0) - AROUND * space.length, places.max(axis=0) + AROUND * space.length
@@ -153,13 +154,30 @@ class _Planner:
 
     def _different(self, begin: Configuration, rods: Configuration, rows: np.ndarray) -> np.ndarray:
         """Those ``rows`` of which no other has the same shape and needs the grippers to roll less from ``begin`` on."""
-        shapes, space = rods.vertices[rows], self._space
-        away = space.shapes(begin).take(np.zeros(len(rows), dtype=int)).apart(space.shapes(rods.take(rows)), space.lever)
-        same = space.same(shapes[:, None], shapes)
+        shapes, away = rods.vertices[rows], self._away(begin, rods.take(rows))
+        same = self._space.same(shapes[:, None], shapes)
         return rows[(away[:, None] <= np.where(same, away, np.inf)).all(axis=1)]
 
     def path(self) -> ManipulationPath:
-        """The path to a goal, or to the nearest node."""
+        """The path to a goal, or to the nearest node; at first to goals near the start: others may be easier to reach, by ways
+        that nobody would go."""
+        away, ends, every = self._away(self._begin.rods, self._every), self._ends, self._every
+        near = np.flatnonzero(away <= DETOUR * away.min(initial=np.inf))
+        if len(near) < every.count:
+            self._goals, self._ends = Tree(every.take(near), self._space), 0.5 * (ends + working_time())
+            path = self._path()
+            if path.reached:
+                return path
+            self._goals, self._ends = Tree(every, self._space), ends
+        return self._path()
+
+    def _away(self, begin: Configuration, rods: Configuration) -> np.ndarray:
+        """(N,) mm from the rod ``begin`` to N others."""
+        shapes, space = self._space.shapes(rods), self._space
+        return space.shapes(begin).take(np.zeros(rods.count, dtype=int)).apart(shapes, space.lever)
+
+    def _path(self) -> ManipulationPath:
+        """The path to one of the present goals, or to the nearest node."""
         start, goals, best = self._start, self._goals, None
         if not goals.rods.count:
             return self._followed(joined_states([self._begin, self._begin]))[0]

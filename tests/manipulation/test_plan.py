@@ -50,6 +50,19 @@ def test_slack_and_its_gradient():
         assert np.allclose(looser, slack(clamps, 300.0, stiff) + 2.0)
 
 
+def test_a_plan_goes_round_an_obstacle_rather_than_to_a_shape_far_away():
+    """The middle of a hanging cable is led past a ball; it would also be there with both grippers 300 mm further down."""
+    theta = d.Material.from_physical(2.5e-3, GJ=2.5e-3, weight_per_length=0.245)
+    rope, clamps = d.hanging(500.0, 20, start=(0, 0, 0), end=(340, 0, 0), clamp=d.Clamp.FRAME)
+    rest = d.relax(rope, theta, clamps).configuration
+    places = np.full_like(rest.vertices, np.nan)
+    places[0, 10] = rest.vertices[0, 10] + [0, 120.0, 40.0]
+    ball = d.Sphere(tuple(rest.vertices[0, 10] + [0, 60.0, 12.0]), 30.0)
+    path = d.plan_manipulation(rest, theta, clamps, d.Targets(places), obstacles=[ball], radius=3.0)
+    moved = path.end_position[-1, 0] - path.end_position[0, 0]
+    assert path.reached and np.linalg.norm(moved - [0, 120.0, 40.0]) < 60.0
+
+
 @cache
 def some() -> Tasks:
     return tasks(6, 21)
