@@ -226,7 +226,7 @@ LEAST_MM, MOST_MM = 1e-3, 1e4  # of an edge
 
 def read_rest_length(text: str) -> np.ndarray:
     """(E,) mm, from ``3:33`` or a file."""
-    option, remedy = "--rest-length", "give MM:COUNT, such as 3:33, or a file of lengths in mm"
+    option, remedy = "--rest-length", "give MM:COUNT, such as 3:33, a file of lengths in mm, or the whole as --length"
     length, _, count = text.partition(":")
     if count and not os.path.exists(text):
         edges, each = given.whole(2, MOST_EDGES)(option, count), given.LENGTH(option, length)

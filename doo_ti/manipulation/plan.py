@@ -36,7 +36,7 @@ from doo_ti.system.runtime import working_time
 SAMPLES = 32  # random rods that a tree grows towards at once, and ways that are tried for a shortcut
 AROUND = 0.5  # of the rod's length: random rods are at most so far outside the box around the rod and its goals
 SHORTCUTS = 4  # rounds in which a way is shortened
-DETOUR = 2.0  # goals so many times farther away than the nearest are tried when half of the time is over
+DETOUR, SHARE = 2.0, 0.25  # goals so many times farther away than the nearest are tried after that share of the time
 NEARLY = 1.2  # goals that are so many times further from the target than the nearest one count as well
 LEAST = 1e-2  # mm, between two moments
 SECOND = 10.0  # mm that the grippers move in a second of the path's time
@@ -164,7 +164,7 @@ class _Planner:
         away, ends, every = self._away(self._begin.rods, self._every), self._ends, self._every
         near = np.flatnonzero(away <= DETOUR * away.min(initial=np.inf))
         if len(near) < every.count:
-            self._goals, self._ends = Tree(every.take(near), self._space), 0.5 * (ends + working_time())
+            self._goals, self._ends = Tree(every.take(near), self._space), working_time() + SHARE * self._options.seconds
             path = self._path()
             if path.reached:
                 return path
