@@ -36,7 +36,7 @@ from doo_ti.system.runtime import working_time
 SAMPLES = 32  # random rods that a tree grows towards at once, and ways that are tried for a shortcut
 AROUND = 0.5  # of the rod's length: random rods are at most so far outside the box around the rod and its goals
 SHORTCUTS = 4  # rounds in which a way is shortened
-DETOUR, SHARE = 2.0, 0.25  # goals so many times farther away than the nearest are tried after that share of the time
+DETOUR, SHARE = 2.0, 0.1  # goals so many times farther away than the nearest are tried after that share of the time
 NEARLY = 1.2  # goals that are so many times further from the target than the nearest one count as well
 LEAST = 1e-2  # mm, between two moments
 SECOND = 10.0  # mm that the grippers move in a second of the path's time
@@ -168,7 +168,7 @@ class _Planner:
             path = self._path()
             if path.reached:
                 return path
-            self._goals, self._ends = Tree(every, self._space), ends
+            self._start, self._goals, self._ends = Tree(self._begin.rods, self._space), Tree(every, self._space), ends
         return self._path()
 
     def _away(self, begin: Configuration, rods: Configuration) -> np.ndarray:
