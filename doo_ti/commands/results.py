@@ -13,7 +13,7 @@ from doo_ti.commands import options as given
 from doo_ti.contact.surroundings import Surroundings
 from doo_ti.io.observation_tables import write_rod_table
 from doo_ti.rod.grid import Grid, Interval
-from doo_ti.rod.types import Clamps, Configuration, Material, Status
+from doo_ti.rod.types import Clamp, Clamps, Configuration, Material, Status
 from doo_ti.system.errors import InputError
 from doo_ti.system.files import write_text, write_whole
 from doo_ti.system.terminal import in_line
@@ -72,17 +72,30 @@ def force_rows(arrays: dict[str, np.ndarray], axis: int) -> list[tuple[str, str]
         if push.max() > 0:
             found = [("force", f"obstacles exert {push.max():.3g} N on a rod in all at most, at moment "
                                f"{np.unravel_index(push.argmax(), push.shape)[1]}; {push[:, -1].max():.3g} N at the end")]
-    force = np.moveaxis(arrays["end_force_N"], axis, 0)
-    size, last = np.linalg.norm(force, axis=-1), force[:, -1][np.isfinite(force[:, -1]).all(axis=-1)]
-    if not last.any():
-        return found
-    if len(last) == 1:
-        whole = np.linalg.norm(last)
-        parts = np.where(np.abs(last[0]) < ROUNDING * whole, 0.0, last[0])
-        ends = f"{whole:.3g} N ({', '.join(f'{value:.3g}' for value in parts)})"
-    else:
-        ends = " to ".join(f"{end(np.linalg.norm(last, axis=-1)):.3g}" for end in (np.min, np.max)) + " N"
-    return [("force", f"the far clamp exerts {ends} on the rod at the end, {np.nanmax(size):.3g} N at most"), *found]
+    for name, clamp in (("start_force_N", "near"), ("end_force_N", "far")):
+        force = np.moveaxis(arrays.get(name, np.zeros((1, 1, 3))), axis % 2, 0)
+        size, last = np.linalg.norm(force, axis=-1), force[:, -1][np.isfinite(force[:, -1]).all(axis=-1)]
+        if not last.any():
+            continue
+        if len(last) == 1:
+            whole = np.linalg.norm(last)
+            parts = np.where(np.abs(last[0]) < ROUNDING * whole, 0.0, last[0])
+            ends = f"{whole:.3g} N ({', '.join(f'{value:.3g}' for value in parts)})"
+        else:
+            ends = " to ".join(f"{end(np.linalg.norm(last, axis=-1)):.3g}" for end in (np.min, np.max)) + " N"
+        found.append(("force", f"the {clamp} clamp exerts {ends} on the rod at the end, {np.nanmax(size):.3g} N at most"))
+    return found
+
+
+def clamp_forces(material: Material, rest_length: np.ndarray, up: np.ndarray, clamps: Clamps, end_force: np.ndarray,
+                 contact_force: np.ndarray | None) -> dict[str, np.ndarray]:
+    """``start_force`` and ``end_force`` (…, R, 3) of the clamps on R rods at rest, from that of the far clamp where both are
+    held and those of obstacles (…, R, V, 3): together they bear the weight."""
+    weight = (2.0 * material.weight * np.sum(rest_length, axis=-1))[:, None] * up
+    borne = weight if contact_force is None else weight - contact_force.sum(axis=-2)
+    hangs = (np.broadcast_to(clamps.start, len(weight)) == Clamp.FREE)[:, None]
+    end = np.where(hangs & np.isfinite(end_force), borne, end_force)
+    return {"start_force": borne - end, "end_force": end}
 
 
 def save_json(out: Path, content) -> None:

@@ -153,7 +153,8 @@ def test_relax_writes_every_key(capsys, tmp_path):
     np.testing.assert_allclose(np.linalg.det(found["frames"]), 1, atol=1e-9)
     per_rod = dict.fromkeys(("energy", "distance_mm", "status", "iterations", "residual", "stable"), (3,))
     assert {key: value.shape for key, value in found.items()} == {
-        "vertices_mm": (3, 9, 3), "frames": (3, 8, 3, 3), "rest_length_mm": (8,), "end_force": (3, 3), **per_rod}
+        "vertices_mm": (3, 9, 3), "frames": (3, 8, 3, 3), "rest_length_mm": (8,), "start_force": (3, 3), "end_force": (3, 3),
+        **per_rod}
     summary = json.loads(succeeded(capsys, [*argv, "--json"]))
     assert summary["status"] == {"converged": 3} and summary["bend_1"] == 6e5
     np.testing.assert_array_equal(written("new/F.npz")["vertices_mm"], found["vertices_mm"])

@@ -56,6 +56,19 @@ def test_the_mesh_error_is_that_of_relax(folder, capsys):
         assert 0.01 < moved[name] == pytest.approx(still[name], rel=1e-2)
 
 
+@pytest.mark.parametrize("clamps", ["", "--clamp-start free", "--clamp-end free"])
+def test_both_clamps_bear_the_weight(folder, clamps):
+    """Each alone where the other end is free; relax and predict agree."""
+    np.savez("still.npz", end_position_mm=np.zeros((2, 3)), time_s=[0.0, 1.0])
+    moved = made(words("seen.npz", "still.npz", f"--relative --linear-density 10 {clamps}"))
+    still = made(f"relax seen.npz {MATERIAL} --linear-density 10 {clamps} --out r.npz")
+    for name in ("start_force_N", "end_force_N"):
+        np.testing.assert_allclose(moved[name][-1], still[name], atol=1e-6)
+    np.testing.assert_allclose(still["start_force_N"] + still["end_force_N"], [[0, 0, 0.01 * 0.1 * 9.80665]] * 2, atol=1e-9)
+    if clamps:
+        assert (still[f"{clamps.split()[0].removeprefix('--clamp-')}_force_N"] == 0).all()
+
+
 def log_of(poses, turn: np.ndarray, scale: float) -> str:
     """A robot's log of both grippers: metres, quaternions of tools whose z axes point along the rod, other columns."""
     names = ["stamp", "joint_1"]
