@@ -1,5 +1,7 @@
 """What makes an input implausible, as warnings: units, the order of marks, lengths, the mesh."""
 
+from argparse import Namespace
+
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -10,6 +12,7 @@ from doo_ti.rod.observations import Observations
 from doo_ti.system import terminal
 from doo_ti.system.arguments import counted
 from doo_ti.system.terminal import in_line
+from doo_ti.vision.cameras import Rig
 
 DOUBTFUL = 1.05
 """Stated length of the rod over that of arcs through its marks, or the inverse; arcs are off by up to 2 % on rods of ten marks
@@ -96,6 +99,14 @@ def mesh_doubt(rest_length: np.ndarray, surroundings: Surroundings | None) -> st
     return (f"edges of {longest:.3g} mm are too long to bend around an obstacle of {thinnest:.3g} mm radius: forces may come "
             f"out too small, and the rod slip off; give {np.ceil(rest_length.sum() / radius):.0f} edges (doo-ti convert IN OUT "
             "--edges N, or edges of a scene)")
+
+
+def warn_of_axes(options: Namespace, rig: Rig) -> None:
+    """Print a warning where ``--up`` is not given and the world has the axes of a camera, whose z is the way it looks."""
+    axes = [camera.name for camera in rig.cameras if np.allclose(camera.rotation, np.eye(3)) and not camera.translation.any()]
+    if options.up is None and axes:
+        terminal.warn(f"{in_line(options.rig)}: the world has the axes of {in_line(axes[0])}, whose z, the way it looks, is "
+                      "taken as up; give --up (-y if that camera is level)")
 
 
 def inside_doubt(observations: Observations, surroundings: Surroundings | None) -> str | None:

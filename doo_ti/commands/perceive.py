@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from doo_ti.commands import image_options, loading
+from doo_ti.commands import doubts, image_options, loading
 from doo_ti.commands import options as given
 from doo_ti.commands.image_options import GUESSED_BEND, MOST_HYPOTHESES, RECORDED, PerceptionTask, perception_task
 from doo_ti.commands.results import refuse_overwriting, report, save_arrays, shortened, status_text
@@ -71,6 +71,7 @@ def run(options: Namespace) -> int:
         detected = [detected[row] for row in rows]
         found, growth = _perceived(begun, detected, seed_sigma, bar)
         found = replace(found, length_range=np.broadcast_to(length_range, found.length_range.shape))
+    doubts.warn_of_axes(options, task.sets.rig)
     image_options.warn_of_rig(options, begun.sets, begun.rest_length.sum(), found.verdict, detected)
     task, every = replace(task, rest_length=begun.rest_length), found.among(rows, task.sets.count)
     save_arrays(out, _arrays(task, every))

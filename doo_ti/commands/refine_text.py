@@ -140,7 +140,7 @@ def summary_lines(summary: dict) -> list[str]:
             ("WARNING", up_text(summary["other_up"])), ("WARNING", unround and f"{UNROUND} explains the marks "
              f"far better; the intervals are those of a round rod: give {unround}"),
             *((one["name"], interval(one["value"], one["low"], one["high"], one["unit"])
-               + "  (negative: outside the outer mark)" * (one["name"].startswith("clip") and (one["low"] or 0) < 0))
+               + "  (negative: outside the outer mark)" * (one["name"].startswith("clip") and one["value"] < 0))
               for one in summary["parameters"] if not one["name"].startswith("up[")),
             ("up", "up[0]" in summary["unknowns"] and
              f"({x:.4f}, {y:.4f}, {z:.4f}), tilted by {summary['tilt_deg']:.2g}° from the given direction"),

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from doo_ti.commands import image_options
+from doo_ti.commands import doubts, image_options
 from doo_ti.commands import options as given
 from doo_ti.commands.perceive import LEAST_SIGMA_MM, sigma_with_length
 from doo_ti.commands.results import listed, refuse_overwriting, report, rows, save_arrays
@@ -57,6 +57,7 @@ def run(options: Namespace) -> int:
     refuse_overwriting(out, options.frames, options.motion, options.rest_length)
     task = tracking_task(options)
     rest_length, length_range, found, problem = _tracked(options, task)
+    doubts.warn_of_axes(options, task.sets.rig)
     image_options.warn_of_length(options, rest_length.sum())
     result = _arrays(task, rest_length, length_range, found)
     save_arrays(out, result)
@@ -244,7 +245,7 @@ def _arrays(task: TrackingTask, rest_length: np.ndarray, length_range: np.ndarra
         "name": np.array(task.sets.names[: len(found)]), **time, "rest_length_mm": rest_length,
         "length_range_mm": length_range, "up": task.up,
         **{key: np.array([getattr(frame, name) for frame in found]) for key, name in fields.items()},
-        "sigma_mm": np.maximum(sigma, LEAST_SIGMA_MM),
+        "sigma_mm": np.maximum(sigma, LEAST_SIGMA_MM), "doubts": np.array([", ".join(frame.doubts) for frame in found]),
     }
 
 
@@ -278,21 +279,21 @@ def _lines(summary: dict) -> list[str]:
         named = f": {'all' if every else listed(names, MOST_LISTED)}" * bool(len(names))
         return f"{counted(len(names), 'frame')} {words}{named}"
 
-    verdicts, doubts, uncertain, off = (summary[name] for name in ("verdicts", "doubts", "uncertain", "camera_error_px"))
-    of_others = ", ".join(f"{doubt} in {count}" for doubt, count in sorted(doubts.items(), key=lambda one: -one[1]))
+    verdicts, reasons, uncertain, off = (summary[name] for name in ("verdicts", "doubts", "uncertain", "camera_error_px"))
+    of_others = ", ".join(f"{doubt} in {count}" for doubt, count in sorted(reasons.items(), key=lambda one: -one[1]))
     return [
         f"{summary['frames']} frames of {len(summary['cameras'])} images, a rod of {summary['edges']} edges, "
         f"{summary['length_mm']:.4g} mm long" + ", found in the first frame, {:.4g} to {:.4g} mm".format(
             *summary["length_range_mm"]) * bool(np.isfinite(summary["length_range_mm"]).all()),
         *rows(
-            ("tracked", f"{len(summary['tracked'])} frames, each from the one before"),
+            ("tracked", f"{len(summary['tracked'])} frames, each from the one before or after"),
             ("seeded", frames(summary["seeded"], "by Algorithm 1")),
             ("lost", frames(summary["lost"], "in which the rod is lost")),
             ("uncertain", len(uncertain) and frames(
                 uncertain, f"whose start is uncertain by {CERTAIN_MM:g} to {summary['start_sigma_mm']:.2g} mm, or off the "
                 "thread; click there, in two cameras", every=len(uncertain) == summary["frames"])),
             ("ambiguous", len(verdicts["ambiguous"]) and frames(verdicts["ambiguous"], "whose rod may well be another one")),
-            ("doubts", doubts and f"{len(verdicts['clear'])} frames are clear; of others: {of_others}"),
+            ("doubts", reasons and f"{len(verdicts['clear'])} frames are clear; of others: {of_others}"),
             ("images", off is not None and f"{f'{off:.2f}' if off >= LEAST_SHOWN else f'less than {LEAST_SHOWN}'} px off on "
                                            f"average; {summary['stable']} rods at certified minima of E_vis"),
             ("orientation", summary["orientation"]), *(("written to", in_line(path)) for path in summary["written"]))]

@@ -1,12 +1,13 @@
 """Rigs, boards and labels that do not belong together: what is said of them."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 import doo_ti as d
-from doo_ti.commands import cameras
+from doo_ti.commands import cameras, doubts
 from doo_ti.vision.board import Board, Views
 from doo_ti.vision.calibration import Sighting, calibrate
 from doo_ti.vision.triangulation import MarkStatus, triangulate
@@ -57,6 +58,14 @@ def test_a_wrong_corner_is_left_out_and_counted(rng):
     assert found.left_out[1, 2] == found.left_out.sum() == 1 and not known.left_out.any()
     for one, other in zip(found.rig.cameras, known.rig.cameras, strict=True):
         np.testing.assert_allclose(one.centre, other.centre, atol=0.2)
+
+
+@pytest.mark.parametrize("up, turned, said", [(None, False, True), ((0.0, -1.0, 0.0), False, False), (None, True, False)])
+def test_a_world_with_the_axes_of_a_camera_is_said(capsys, up, turned, said):
+    camera = RIG.cameras[0]
+    camera = camera if turned else replace(camera, rotation=np.eye(3), translation=np.zeros(3))
+    doubts.warn_of_axes(SimpleNamespace(up=up, rig="stereo.yml"), d.Rig((camera, RIG.cameras[1])))
+    assert ("stereo.yml: the world has the axes of cam0" in capsys.readouterr().err) is said
 
 
 def test_rays_that_meet_nowhere_end_in_a_status():
