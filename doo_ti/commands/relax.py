@@ -79,8 +79,7 @@ def run_relax(options: Namespace) -> int:
                                    index[infeasible])
     sound = best[(solution.converged & solution.stable)[best]]
     mesh = results.mesh_summary(relaxed.take(sound), material, held.take(sound), observations.up, surroundings.take(sound))
-    summary = _summary(observations, grid, result, out) | contact | mesh | {
-        "infeasible_reason": inside}
+    summary = _summary(observations, grid, result, out) | contact | mesh | {"infeasible_reason": inside}
     results.report(options, summary, lambda: _lines(observations, grid, result, summary))
     return 0 if (result["status"] == Status.CONVERGED).any() else 1
 

@@ -322,6 +322,8 @@ def clamp_change(rods: Configuration, material: Material, clamps: Clamps, up: Ar
     """(R, V, 3) mm by which ``rods``, as for :func:`mesh_change`, rest elsewhere where clamps that hold the outer edges, up to
     their middles, end at the end vertices instead. NaN for rods that do not come to certified rest then."""
     held = tuple(bool(one and length) for one, length in zip(_held_edges(clamps), rods.rest_length[[0, -1]], strict=True))
+    if not any(held):
+        return np.zeros_like(rods.vertices)
     found = _at_rest(with_end_edges(rods, held), material_of_end_edges(material, held), clamps, up, surroundings)
     return found.vertices[:, held[0] : rods.edges + 1 + held[0]] - rods.vertices
 
