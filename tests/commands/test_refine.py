@@ -61,7 +61,7 @@ def summary(rivals, difference, curvature, unknowns=("bend", "twist")) -> dict:
     theta = {"bend_1": 1.11e7, "up": (0, 0, 1)}
     return {"material": "rod", "rods_used": 3, "observations": 3, "iterations": 2, "converged": True, "of_run": False,
             "theta": theta, "rivals": [theta | {"bend_1": bend} for bend in rivals], "unknowns": unknowns, "stiffness": {},
-            "parameters": [{"name": "clip_start", "value": 1.0, "low": -2.0, "high": 4.0, "unit": "mm"}],
+            "parameters": [{"name": "clip_start", "value": -1.0, "low": -2.0, "high": 4.0, "unit": "mm"}],
             "rest_curvature_per_mm": {"root_mean_square": curvature, "range_mm": 30.0}, "linear_density_g_per_m": None,
             "stiffness_along": {"factor": [1.0, 1.0], "root_mean_square": 0.0},
             "clamp_errors": {"turn_deg": (0, 0), "turn_scatter_deg": 0}, "swivels": False, "obstacles": None,
