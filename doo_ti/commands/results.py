@@ -73,7 +73,7 @@ def force_rows(arrays: dict[str, np.ndarray], axis: int) -> list[tuple[str, str]
             found = [("force", f"obstacles exert {push.max():.3g} N on a rod in all at most, at moment "
                                f"{np.unravel_index(push.argmax(), push.shape)[1]}; {push[:, -1].max():.3g} N at the end")]
     for name, clamp in (("start_force_N", "near"), ("end_force_N", "far")):
-        force = np.moveaxis(arrays.get(name, np.zeros((1, 1, 3))), axis % 2, 0)
+        force = np.moveaxis(arrays.get(name, np.zeros((1, 1, 3))), axis, 0)
         size, last = np.linalg.norm(force, axis=-1), force[:, -1][np.isfinite(force[:, -1]).all(axis=-1)]
         if not last.any():
             continue

@@ -204,19 +204,21 @@ def vertex_sigma(rig: Rig, vertices: np.ndarray, sigma_px: float, correlation_px
     covariance = np.linalg.inv(seen_once / noise[:, None, None] + stiff)
     moved = _vertex_movement(turns, length)  # (A, V, 3, P)
     variance = np.einsum("avxp,apq,avxq->av", moved, covariance, moved, optimize=True)
-    kinks = _kinks(vertices)
+    kinks = _kinks(tangents, length)
     variance[:, -1] += kinks[:, 1] ** 2
     variance[:, 0] += np.where(start[:, 0] > 0, kinks[:, 0], 0.0) ** 2
     return np.sqrt(np.maximum(variance, 0.0) / 3)
 
 
-def _kinks(vertices: np.ndarray) -> np.ndarray:
+def _kinks(tangents: np.ndarray, length: np.ndarray) -> np.ndarray:
     """(A, 2) mm by which the first and the last vertex are beside where the rod would go on, its curvature changing as evenly
     as anywhere else: no elastic rod turns so at its end, but a line beside it does, of what holds it."""
-    uneven = np.linalg.norm(np.diff(vertices, n=3, axis=1), axis=-1)
+    middle = 0.5 * (length[:, 1:] + length[:, :-1])
+    uneven = np.linalg.norm(np.diff(np.diff(tangents, axis=1) / middle[..., None], axis=1), axis=-1)  # curvature's changes
     if uneven.shape[1] < FEWEST_JOINTS:
-        return np.zeros((len(vertices), 2))
-    return np.maximum(uneven[:, [0, -1]] - uneven[:, 1:-1].max(axis=1)[:, None], 0.0)
+        return np.zeros((len(length), 2))
+    more = np.maximum(uneven[:, [0, -1]] - uneven[:, 1:-1].max(axis=1)[:, None], 0.0)
+    return more * middle[:, [0, -1]] * length[:, [0, -1]]
 
 
 def _vertex_movement(turns: np.ndarray, length: np.ndarray) -> np.ndarray:
