@@ -198,7 +198,7 @@ def contact_row(summary: dict, rods: int) -> tuple[str, str | None]:
 
 def mesh_summary(rods: Configuration, material: Material, clamps: Clamps, up: np.ndarray, surroundings: Surroundings) -> dict:
     """What the summaries say of rods at rest, one kind of clamps for all: mm, root mean square along a rod, by which finer ones
-    rest elsewhere, and ones that clamps hold only by their end vertices; NaN where no such rod came to rest."""
+    rest elsewhere, and ones whose clamps end at the end vertices; NaN where no such rod came to rest."""
     from doo_ti.relaxation.relax import clamp_change, mesh_change
 
     found = {}
@@ -216,7 +216,7 @@ def mesh_rows(summary: dict) -> list[tuple[str, str | None]]:
              f"{summary[f'largest_{name}_mm']:.2g} mm{remedy}")
             for label, name, text, remedy in (
                 ("mesh error", "mesh_error", "rods of many edges rest about", ""),
-                ("clamps", "clamp_error", "hold the outer edges to their middles; ended at the outer marks, rods rest about",
+                ("clamps", "clamp_error", "hold half of each outer edge; if they end at the outer marks, rods rest about",
                  " (convert --edges)"))]
 
 

@@ -83,7 +83,7 @@ def run_steer(options: Namespace) -> int:
         warn(f"{in_line(options.start)}: its edges are long for this shape: a finer rod ends about {path.mesh_error:.2g} mm "
              "elsewhere; give START and TARGET more vertices")
     elif not path.clamp_error <= options.reached:
-        warn(f"{in_line(options.start)}: its grippers hold the outer edges, up to their middles; if they end at the outer "
+        warn(f"{in_line(options.start)}: its grippers are taken to hold half of each outer edge; if they end at the outer "
              f"marks, the rod ends about {path.clamp_error:.2g} mm elsewhere; give START and TARGET more vertices then")
     summary = {"reached": path.reached, "distance_mm": path.distance, "mesh_error_mm": path.mesh_error,
                "clamp_error_mm": path.clamp_error,
@@ -92,7 +92,7 @@ def run_steer(options: Namespace) -> int:
         f"{rod.observations.name}: target {'reached' if path.reached else 'not reached'}, {path.distance:.3g} mm from it "
         "(root mean square)", f"  path        {path.moments} moments, certified stable, without a jump",
         f"  mesh error  {path.mesh_error:.2g} mm: about how far a rod of many edges ends from that",
-        f"  clamps      {path.clamp_error:.2g} mm: where they end at the outer marks, not amid the outer edges",
+        f"  clamps      {path.clamp_error:.2g} mm: about how far it ends from that if they end at the outer marks",
         loading.rod_line(rod.observations), f"  written to {in_line(out)}"])
     return 0
 

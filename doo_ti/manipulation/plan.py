@@ -80,7 +80,8 @@ class ManipulationPath(ClampPath):
     reached     whether that is within ``reached_mm``
     mesh_error  mm by which a rod of many edges ends elsewhere, about, by one whose edges are half as long; infinite where that
                 one does not come to rest there
-    clamp_error  mm by which one ends elsewhere whose clamps end at its end vertices, not amid its outer edges; or infinite
+    clamp_error  mm by which one ends elsewhere whose clamps end at its end vertices instead of in the middle of its outer
+                edges; or infinite
     """
 
     distance: float = np.inf

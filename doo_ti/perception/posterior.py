@@ -64,7 +64,7 @@ MERGED_PX = 0.3  # h: where the line is farther off the rod, other strands are l
 LAST = np.s_[:, :, -1, -1]  # of (A, C, E, K) places
 NOISE_PX3 = 0.05  # N, of the usual σ and ℓ; a line's end has the weight N over the variance of where the line ends
 TURNING, STRAIGHT = 2.0, 0.06  # rad that rods turn by at least, for T in ν and for T in the covariance
-FEWEST_JOINTS = 5  # changes of curvature along a rod, from which on one at its end may be told from the others
+FEWEST_CHANGES = 5  # changes of curvature along a rod: of fewer, none is said to be larger than the others
 NEIGHBOURS = 8  # points nearest to a place that are looked at: the nearest may be of a strand that crosses there
 COVERED = 0.95  # share of a detected line with which a rod is one of the whole thread
 ALONG = 1e-3  # share that counts of a distance along the line
@@ -215,7 +215,7 @@ def _kinks(tangents: np.ndarray, length: np.ndarray) -> np.ndarray:
     as anywhere else: no elastic rod turns so at its end, but a line beside it does, of what holds it."""
     middle = 0.5 * (length[:, 1:] + length[:, :-1])
     uneven = np.linalg.norm(np.diff(np.diff(tangents, axis=1) / middle[..., None], axis=1), axis=-1)  # curvature's changes
-    if uneven.shape[1] < FEWEST_JOINTS:
+    if uneven.shape[1] < FEWEST_CHANGES:
         return np.zeros((len(length), 2))
     more = np.maximum(uneven[:, [0, -1]] - uneven[:, 1:-1].max(axis=1)[:, None], 0.0)
     return more * middle[:, [0, -1]] * length[:, [0, -1]]
