@@ -20,6 +20,7 @@ from doo_ti.system.arguments import counted
 from doo_ti.system.errors import InputError, InterruptedRunError
 from doo_ti.system.terminal import can_record, in_line, progress, warn
 from doo_ti.vision.images import SEED, SEEDS, ImageSets, cameras_in, clicks_in, images_in, seed_columns
+from doo_ti.vision.synchronisation import epipolar_extremes, frames_apart
 
 if TYPE_CHECKING:
     from doo_ti.perception.seeds import WholeThreads
@@ -148,11 +149,12 @@ def _tracked(options: Namespace, task: TrackingTask) -> tuple[np.ndarray, np.nda
     from doo_ti.perception.tracking import Tracker
 
     frames, rest_length, known, problem = task.sets, task.rest_length, None, None
-    found, starts, sigma, seen, length_range = [], [], [], [], np.full(2, np.nan)
+    found, starts, sigma, seen, extremes, length_range = [], [], [], [], [], np.full(2, np.nan)
     try:
         with progress() as bar:
             shown = bar.add_task("tracking", total=frames.count, unit="frames")
             for row, detected in enumerate(image_options.detections(task.sight, frames.paths, frames.rig.cameras)):
+                extremes.append(epipolar_extremes(frames.rig, detected))
                 start = starts[-1] if starts else None
                 if frames.point is not None or frames.clicks[row]:
                     start, thread = _begun(task, row, detected, start, known)
@@ -178,7 +180,19 @@ def _tracked(options: Namespace, task: TrackingTask) -> tuple[np.ndarray, np.nda
         if not found:
             raise
         problem = str(error) or "interrupted"
+    _warn_of_instants(frames, np.array(extremes))
     return rest_length, length_range, found, problem
+
+
+def _warn_of_instants(frames: ImageSets, extremes: np.ndarray) -> None:
+    """Print a warning for each pair of cameras whose images were taken at different instants, by their
+    :func:`epipolar_extremes`."""
+    for apart in frames_apart(extremes):
+        (first, second), (same, shifted) = (frames.rig.names[camera] for camera in apart.cameras), apart.off
+        shift = f"{abs(apart.frames):g} row{'s' * (abs(apart.frames) != 1)}"
+        side = "later" if apart.frames > 0 else "earlier"
+        warn(f"{frames.source}: images of {second} fit those of {first} better {shift} {side}, "
+             f"{shifted:.2g} px off rather than {same:.2g}; give images of the same instant")
 
 
 def _look_back(tracker, found: list, seen: list, starts: list[_Start], sigma: list[float]) -> None:
