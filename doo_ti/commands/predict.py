@@ -136,12 +136,13 @@ def _arrays(rods: HeldRods, prediction) -> dict[str, np.ndarray]:
     if rods.surroundings:
         per_material |= {"contact_force": prediction.contact_force,
                          "smallest_gap_mm": rods.surroundings.smallest_gaps(prediction.vertices)}
-    forces = results.clamp_forces(rods.material.take(prediction.material), prediction.rest_length, rods.up,
-                                  rods.clamps.take(prediction.motion), prediction.end_force, prediction.contact_force)
+    start_force = results.start_force(rods.material.take(prediction.material), prediction.rest_length, rods.up,
+                                      prediction.end_force, prediction.contact_force)
     return results.in_newton({
         "time_s": prediction.time, "vertices_mm": prediction.vertices, "energy": prediction.energy, "status": prediction.status,
         "stable": prediction.stable, "followed": prediction.followed, "jumps": prediction.jumps,
-        "iterations": prediction.iterations, "residual": prediction.residual, **forces,
+        "iterations": prediction.iterations, "residual": prediction.residual, "start_force": start_force,
+        "end_force": prediction.end_force,
         "total_twist_deg": np.degrees(prediction.total_twist), "end_rotation_deg": np.degrees(prediction.end_rotation),
         "observation": prediction.motion, "rest_length_mm": prediction.rest_length, **per_material,
     }, rods.newtons, 1)

@@ -13,7 +13,7 @@ from doo_ti.commands import options as given
 from doo_ti.contact.surroundings import Surroundings
 from doo_ti.io.observation_tables import write_rod_table
 from doo_ti.rod.grid import Grid, Interval
-from doo_ti.rod.types import Clamp, Clamps, Configuration, Material, Status
+from doo_ti.rod.types import Clamps, Configuration, Material, Status
 from doo_ti.system.errors import InputError
 from doo_ti.system.files import write_text, write_whole
 from doo_ti.system.terminal import in_line
@@ -87,15 +87,12 @@ def force_rows(arrays: dict[str, np.ndarray], axis: int) -> list[tuple[str, str]
     return found
 
 
-def clamp_forces(material: Material, rest_length: np.ndarray, up: np.ndarray, clamps: Clamps, end_force: np.ndarray,
-                 contact_force: np.ndarray | None) -> dict[str, np.ndarray]:
-    """``start_force`` and ``end_force`` (…, R, 3) of the clamps on R rods at rest, from that of the far clamp where both are
-    held and those of obstacles (…, R, V, 3): together they bear the weight."""
+def start_force(material: Material, rest_length: np.ndarray, up: np.ndarray, end_force: np.ndarray,
+                contact_force: np.ndarray | None) -> np.ndarray:
+    """(…, R, 3) of the near clamp on R rods at rest, beside the ``end_force`` of the far one and those of obstacles
+    (…, R, V, 3): together they bear the weight."""
     weight = (2.0 * material.weight * np.sum(rest_length, axis=-1))[:, None] * up
-    borne = weight if contact_force is None else weight - contact_force.sum(axis=-2)
-    hangs = (np.broadcast_to(clamps.start, len(weight)) == Clamp.FREE)[:, None]
-    end = np.where(hangs & np.isfinite(end_force), borne, end_force)
-    return {"start_force": borne - end, "end_force": end}
+    return (weight if contact_force is None else weight - contact_force.sum(axis=-2)) - end_force
 
 
 def save_json(out: Path, content) -> None:

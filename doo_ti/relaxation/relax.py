@@ -293,6 +293,8 @@ def _solution(table: Tables, frames: np.ndarray, results: np.ndarray, bits: np.n
     if len(hanging):
         ends = configuration.take(hanging).vertices[:, -1]
         start[hanging] = 2 * start[hanging] - ends
+        weight = table.material[table.material_index[hanging], of.WEIGHT] * table.clamp[index[hanging], of.TOTAL]
+        results[hanging, of.FORCE : of.ALONG] += 2 * weight[:, None] * up  # the kernels close nothing there, and have zero
     if table.contact is not None:
         cut = _cut(table, configuration, status)
         status[cut], stable[cut] = Status.STALLED, False

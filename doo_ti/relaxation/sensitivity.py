@@ -112,8 +112,7 @@ def end_loads(solution: Solution) -> EndLoads:
     clamp = table.clamp[table.configuration_index]
     total = 2.0 * table.material[table.material_index, of.WEIGHT, None] * clamp[:, of.TOTAL, None] * table.up
     weight = total - vertex_forces(table).sum(axis=1)
-    end = np.where(clamp[:, of.RELEASED, None] > 0, weight, solution.end_force)
-    loads = np.stack([weight - end, moments[:, 0], end, moments[:, 1]], axis=1)
+    loads = np.stack([weight - solution.end_force, moments[:, 0], solution.end_force, moments[:, 1]], axis=1)
     loads[~solution.converged | (clamp[:, of.TILT_INNER] == 0)] = np.nan
     return EndLoads.of(loads, table, 0, table.count)
 
@@ -135,8 +134,7 @@ def alone(function: str, solution: Solution) -> Solution:
     clamp = table.clamp.copy()
     loose = clamp[:, of.LOOSE] > 0
     clamp[loose, of.LOOSE], clamp[loose, of.RELEASED], clamp[loose, of.CLOSED] = 0.0, 1.0, 0.0
-    force = np.where(loose[table.configuration_index, None], 0.0, solution.end_force)
-    return replace(solution, end_force=force, tables=replace(table, clamp=clamp))
+    return replace(solution, tables=replace(table, clamp=clamp))
 
 
 CURVATURES = ("rest_curvature", "rest_curvature_per_joint", "modes")

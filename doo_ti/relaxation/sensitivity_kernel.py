@@ -113,7 +113,8 @@ def run_at_rest(solution: Solution, usable: np.ndarray, kernels: tuple, directio
     frames = solution.configuration.quaternions[first:last]
     frames = np.ascontiguousarray(frames / np.sqrt(np.einsum("rek,rek->re", frames, frames))[..., None], dtype=np.float64)
     results = np.zeros((count, of.LOADED_RESULTS))
-    results[:, of.FORCE : of.FORCE + 3] = np.nan_to_num(solution.end_force[first:last])
+    released = table.released[table.configuration_index[first:last], None]  # there the chain closes nothing
+    results[:, of.FORCE : of.FORCE + 3] = np.where(released, 0.0, np.nan_to_num(solution.end_force[first:last]))
     results[:, of.DRIFT :] = solution.configuration.start[first:last] - table.anchor[table.configuration_index[first:last]]
     directions = np.ascontiguousarray(directions) if columns else np.zeros((1, DIRECTION_COLUMNS))
     sound = np.zeros(count, dtype=np.int32)

@@ -253,9 +253,9 @@ class Solution:
     status         (R,) Status
     stable         (R,) True where the inertia of the rod's KKT matrix certifies a minimum, not a saddle. Neutral motions, such
                    as the rotation of a weightless bow about its chord, are allowed
-    end_force      (R, 3) force of the far clamp on the rod where both ends are held, mm (energy in mm² per mm): the energy
-                   grows by end_force · d when the clamp moves by d. Zero where an end is free. NaN in a taut rod, one that
-                   is straight because its clamps are as far apart as it is long, to 1e-7: its tension is not determined
+    end_force      (R, 3) force of the far clamp on the rod, mm (energy in mm² per mm): the energy grows by end_force · d when
+                   the clamp moves by d. Zero where the far end is free. NaN in a taut rod, one that is straight because its
+                   clamps are as far apart as it is long, to 1e-7: its tension is not determined
     precision      (R,) 32 or 64: the arithmetic that finished the rod
     contact_force  (R, V, 3) of obstacles on the vertices, energy (mm²) per mm; None without obstacles
     tables         the input, with which :func:`doo_ti.relaxation.relax.relax` can continue; None where solutions were joined
