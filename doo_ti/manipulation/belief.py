@@ -43,7 +43,7 @@ at one, the outer edges would have no stiffness."""
 PERSISTENT = 3.0
 """Moments to which an error of the model is common. With 1 a tenth of the intervals are too narrow, with 10 all are wide."""
 QUANTILE = 1.96  # standard deviations of a 95 % interval
-MISFIT = 3.0
+MISFIT = 1.5
 """Where the misfit is more than so many times the noise, intervals are wider by the factor above that (Birge's ratio): marks
 may be late, or the rod may touch something that the model does not know."""
 
@@ -81,6 +81,11 @@ class LearnedMaterial:
     def GJ(self) -> np.ndarray | None:  # noqa: N802
         """(B,) N m²."""
         return self._in_physical_units(self.twist)
+
+    @property
+    def GJ_interval(self) -> np.ndarray | None:  # noqa: N802
+        """(B, 2) N m²."""
+        return self._in_physical_units(self.twist_interval)
 
     def _in_physical_units(self, values: np.ndarray) -> np.ndarray | None:
         newton = self.material.newton

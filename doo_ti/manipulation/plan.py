@@ -82,12 +82,16 @@ class ManipulationPath(ClampPath):
                 one does not come to rest there
     clamp_error  mm by which one ends elsewhere whose clamps end at its end vertices instead of in the middle of its outer
                 edges; or infinite
+    smallest_gap  mm from obstacles to the rod's surface, on all of the path; zero where it touches, infinite without obstacles
+    smallest_radius  mm, of the rod's curvature at a joint, on all of the path
     """
 
     distance: float = np.inf
     reached: bool = False
     mesh_error: float = np.nan
     clamp_error: float = np.nan
+    smallest_gap: float = np.inf
+    smallest_radius: float = np.inf
 
 
 @typed
@@ -240,14 +244,14 @@ class _Planner:
         return states
 
     def _samples(self) -> Configuration:
-        """Random rods at rest."""
+        """Random rods at rest that touch nothing: ways may touch where their ends do."""
         rest_length, anchor = self._start.rods.rest_length, self._space.anchor
         shapes = Shapes.at_random(SAMPLES, self._low, self._high, rest_length, anchor, self._random)
         if not (self._space.moves[:6].any() and self._space.moves[6:].any()):  # a gripper that does not move holds the anchor
             first = self._space.shapes(self._start.rods.take(np.zeros(len(shapes.place), dtype=int)))
             shapes = replace(shapes, place=first.place, frame=first.frame)
         states, sound = self._space.at_rest(shapes, np.zeros(SAMPLES, dtype=bool))
-        return states.rods.take(np.flatnonzero(sound))
+        return states.rods.take(np.flatnonzero(sound & ~self._space.touch(states.rods)))
 
     def _states(self, first: list[int], last: list[int]) -> tuple[States, np.ndarray]:
         """All states of the way through nodes of both trees, and after which of these, in that order, each comes."""
@@ -267,7 +271,7 @@ class _Planner:
         size = np.linalg.norm(change * np.repeat([1.0, self._space.lever] * 2, 3), axis=1)
         time = np.append(0.0, np.cumsum(np.maximum(size, LEAST))) / SECOND
         arrays = {name: getattr(clamps, name)[:, None] for name in POSES}
-        shapes = states.rods.vertices
+        shapes, passed = states.rods.vertices, []
         reached, turns = 0, 1 + np.flatnonzero(np.diff(states.touching[1:]))
         for first, last in pairwise([0, *turns, clamps.count - 1]):
             rows, touches = slice(first, last + 1), states.touching[last]
@@ -278,6 +282,7 @@ class _Planner:
             sound[1:] &= touches | self._clear(seen.vertices[:, 0])
             sound &= self._space.same(seen.vertices[:, 0], shapes[rows])
             count = len(sound) if sound.all() else max(int(np.argmin(sound)), 1)
+            passed.append(Configuration(seen.start[:count, 0], seen.quaternions[:count, 0], seen.rest_length))
             rods, reached = seen.at(count - 1), first + count - 1
             if count < len(sound):
                 break
@@ -285,9 +290,12 @@ class _Planner:
         rows = np.arange(reached + 1) if reached else [0, 0]
         held, touches = clamps.take([reached]), bool(states.touching[reached])
         mesh, clamp = (self._error(change, rods, held, touches) for change in (mesh_change, clamp_change))
-        arrays = {name: values[rows] for name, values in arrays.items()}
+        arrays, every = {name: values[rows] for name, values in arrays.items()}, Configuration.concatenate(passed)
+        around = self._space.clearance.around(every.count)
+        gap = float(around.smallest_gap(every.vertices).min()) if around else np.inf
         return ManipulationPath(
-            time[: len(rows)], source="plan", distance=distance, mesh_error=mesh, clamp_error=clamp, **arrays,
+            time[: len(rows)], source="plan", distance=distance, mesh_error=mesh, clamp_error=clamp,
+            smallest_gap=max(gap, 0.0), smallest_radius=float(1 / max(every.curvature.max(), 1e-12)), **arrays,
             reached=distance <= self._options.reached_mm), reached + 1
 
     def _error(self, change: Callable, rod: Configuration, clamps: Clamps, touches: bool) -> float:

@@ -148,7 +148,8 @@ class ServoOptions:
     clip_mm, clip_deg  of each component of the displacement and rotation of the clips from the poses that are reported
     compliance    of the additional compliance of the joints at the clamps, over their own: meshes differ in it. Zero: clamps
                   act as those of ``rod``
-    curvature     of the coefficients of the rest curvature, over the rod's length; zero: straight at rest
+    curvature     of the coefficients of the rest curvature, over the rod's length, rad: cable off a drum has one or two; zero:
+                  straight at rest
     memory        number of moments from which Θ is learned: older ones fade, as their linearisation is out of date
 
     Raises InputError for numbers out of range, and unknown or no coordinates.
@@ -167,7 +168,7 @@ class ServoOptions:
     clip_mm: float = 1.0
     clip_deg: float = 2.0
     compliance: float = 0.3
-    curvature: float = 0.2
+    curvature: float = 1.0
     memory: float = 15.0
 
     def __post_init__(self) -> None:

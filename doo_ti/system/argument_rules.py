@@ -90,7 +90,7 @@ def shape_of(value: Any) -> tuple[int, ...]:
 
 
 class _Number(Rule):
-    """A real number, but no flag; ``whole``: a whole one."""
+    """A real number, but no flag, as a float: arrays that are filled with it take fractions. ``whole``: a whole one."""
 
     def __init__(self, whole: bool):
         self.whole, self.wanted = whole, _WORDS[int if whole else float]
@@ -102,7 +102,7 @@ class _Number(Rule):
             raise Mismatch(_shown(value), self.wanted)
         if isinstance(value, Integral) and not -(1 << INDEX_BITS) <= value < 1 << INDEX_BITS:
             raise Mismatch(f"a number of {len(hex(value)) - 2} hexadecimal digits", "a smaller one")
-        return value
+        return value if self.whole else float(value)
 
 
 class _Flag(Rule):

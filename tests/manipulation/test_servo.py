@@ -48,6 +48,15 @@ def within(servo: d.Servo, truth) -> np.ndarray:
     return (low <= truth) & (truth <= high)
 
 
+@pytest.mark.thorough
+def test_intervals_hold_the_stiffness_of_rods_off_a_drum():
+    """Bent at rest to radii of some 300 mm, by clips that are not where they are thought to be."""
+    own = tasks(60, 6, Plant(3, 0.7, 2.0, 3e-3))
+    servo = servo_of(own)
+    distance = apart(own.vertices(run(own, servo, 30).state.configuration), own.goal)
+    assert np.median(distance) < 0.5 and within(servo, BEND * own.factors[0]).mean() > 0.9
+
+
 @pytest.mark.sampled(1)
 @pytest.mark.parametrize("name", PLANTS)
 def test_unknown_rods_reach_their_goals(name):
@@ -59,7 +68,7 @@ def test_unknown_rods_reach_their_goals(name):
         assert abs(np.median(servo.material.misfit) / NOISE - 1) < 0.15
     assert within(servo, BEND * own.factors[0]).sum() >= 10
     low, high = servo.material.bend_interval.T
-    assert np.median(high / low) < 1.6  # of a prior of exp(4 · 0.4) = 4.8
+    assert np.median(high / low) < 1.7  # of a prior of exp(4 · 0.4) = 4.8; rests of many degrees are not excluded
 
 
 @pytest.mark.thorough
@@ -256,6 +265,7 @@ def test_small_steps_on_a_long_way_are_no_end_of_it():
     assert servo.distance[0] < 285.0
     learned, (low, high) = servo.material, servo.material.EI_interval[0]
     assert low < 0.002 < high and learned.EI[0] == pytest.approx(0.002, rel=0.1) and learned.GJ.shape == (1,)
+    assert learned.GJ_interval[0, 0] < learned.GJ[0] < learned.GJ_interval[0, 1]
 
 
 def test_marks_in_metres_are_warned_of_once():

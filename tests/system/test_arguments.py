@@ -102,6 +102,7 @@ def test_what_stands_for_a_value_is_taken():
     assert isinstance(TWO.places, np.ndarray) and TWO.numbers.tolist() == [7]
     weight, shade, names, size = mixed(TWO, [1, 2], shade=1, names=np.array(["a"]), size=np.array(3))
     assert weight.tolist() == [1, 2] and shade is Shade.LIGHT and names == ("a",) and size == 3
+    assert type(doo_ti.ServoOptions(noise_mm=1).noise_mm) is float  # arrays of it take fractions
 
 
 @pytest.mark.parametrize(("call", "source", "field"), [
