@@ -3,6 +3,7 @@ N groups, G rods, V vertices of all rods, E edges of their chain, breaks include
 """
 
 from dataclasses import replace
+from itertools import permutations
 
 import numpy as np
 
@@ -324,11 +325,9 @@ def edges_apart(group: Group, lengths: np.ndarray, begins: np.ndarray, radii: np
         for number, vertex in enumerate(tied):
             own = of_edge == rod_of[vertex]
             away[number][:, own] = np.maximum(arc[:, :-1] - arc[:, [vertex]], arc[:, [vertex]] - arc[:, 1:])[:, own]
-        for a in range(len(tied)):
-            for b in range(len(tied)):
-                if a != b:
-                    mean = 0.5 * (least[:, rod_of[tied[[a]]]] + least[:, rod_of[tied[[b]]]])
-                    apart &= ~((away[a][:, late] <= mean) & (away[b][:, early] <= mean))
+        for a, b in permutations(range(len(tied)), 2):
+            mean = 0.5 * (least[:, rod_of[tied[[a]]]] + least[:, rod_of[tied[[b]]]])
+            apart &= ~((away[a][:, late] <= mean) & (away[b][:, early] <= mean))
     return np.ascontiguousarray(apart, dtype=np.int32)
 
 
