@@ -8,6 +8,7 @@ from itertools import permutations
 import numpy as np
 
 from doo_ti.contact.surroundings import LEAST_ARC, Itself, Surroundings, smallest_of_pairs
+from doo_ti.dynamics.parameters import vertex_lengths
 from doo_ti.groups.group import Group
 from doo_ti.groups.group_newton import GroupTables
 from doo_ti.groups.ties import CLOSED, JOINT_ITEMS, STIFFNESS_OF_TIES
@@ -70,8 +71,7 @@ class Member:
     @property
     def weights(self) -> np.ndarray:
         """(1 or N, V) energy per mm by which the weight pulls at each vertex."""
-        both = np.pad(self.lengths, ((0, 0), (0, 1))) + np.pad(self.lengths, ((0, 0), (1, 0)))
-        return self.material[:, of.WEIGHT, None] * both
+        return 2.0 * self.material[:, of.WEIGHT, None] * vertex_lengths(self.lengths)
 
     @property
     def clamped(self) -> np.ndarray:
