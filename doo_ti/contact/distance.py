@@ -9,11 +9,10 @@ Of a grid n is the gradient of a spline, of about unit length.
 """
 
 import taichi as ti
-from taichi.lang.impl import expr_init
 
 from doo_ti.contact.distance_grid import HEADER
 from doo_ti.contact.obstacles import BOX, CAPSULE, CYLINDER, GRID, PLANE, RING
-from doo_ti.physics.algebra import absolute, applied, full, largest_of, row, transposed
+from doo_ti.physics.algebra import absolute, applied, largest_of, seen_from, transposed
 from doo_ti.physics.number import Layout, device_functions
 from doo_ti.physics.tuples import chosen, dot, minus, plus, products, put_lane, record, repeated, scaled, traced
 
@@ -39,13 +38,6 @@ def clipped(a, most) -> tuple:
 def diagonal(a) -> tuple:
     """The symmetric matrix of that diagonal."""
     return (a[0], 0.0 * a[0], 0.0 * a[0], a[1], 0.0 * a[1], a[2])
-
-
-@traced
-def turned(h, m) -> tuple:
-    """Mᵀ H M of a symmetric H."""
-    rows = expr_init(tuple(dot(row(full(h), k), m[j::3]) for k in range(3) for j in range(3)))
-    return tuple(dot(m[i::3], rows[j::3]) for i in range(3) for j in range(i, 3))
 
 
 @traced
@@ -197,7 +189,7 @@ class Distance:
         slanting = scaled(minus(half, outer(slant)), 1.0 / whole)
         seen.value = ti.select(outside, whole, value)
         seen.normal = applied(transposed(axes), chosen(outside, slant, found.slope))
-        seen.curvature = turned(chosen(outside, slanting, bend), axes)
+        seen.curvature = seen_from((axes[0::3], axes[1::3], axes[2::3]), chosen(outside, slanting, bend))
 
     def look_up(self, grids: ti.template(), index, place):
         """The spline of grid ``index`` at ``place``, which is inside it, in its axes and in spacings from its first point: a

@@ -1,38 +1,6 @@
-"""Obstacles in files. In TOML each has a ``kind`` and the fields of its class (:mod:`doo_ti.contact.obstacles`), lengths in mm;
-in the folder of a run their numbers are in an npz, and in JSON what they are and a digest of them.
-
-    [[obstacles]]
-    kind = "plane"                     # plane, sphere, capsule, cylinder, ring, box, grid or itself
-    point = [0, 0, 0]
-    normal = [0, 0, 1]
-
-    [[obstacles]]
-    kind = "cylinder"
-    start = [0, -50, 20]
-    end = [0, 50, 20]
-    radius = 8.0
-    friction = 0.3                     # (0)
-
-    [[obstacles]]
-    kind = "grid"
-    file = "part.npz"                  # values (X, Y, Z), spacing and origin (3,); or mesh = "part.stl" with spacing and margin
-    position = [0, 0, 40]              # (0, 0, 0); and rotation, unrotated
-
-In scenes of ``doo-ti simulate`` they may move, smoothly between moments; what is left out stays as it was.
-
-    [[obstacles]]
-    kind = "capsule"
-    start = [0, -40, 5]
-    end = [0, -40, 60]
-    radius = 5.0
-    pivot = [0, -40, 0]                # about which it turns (its own point), and
-    turn_axis = [0, 0, 1]              # (its own axis; of a box or a grid the third)
-
-    [[obstacles.moments]]
-    time_s = 2.0
-    shift = [0, 80, 0]                 # from where it is stated (0, 0, 0)
-    turns = 0.25                       # about that axis (0)
-"""
+"""Obstacles in files. In TOML (docs/obstacles.md) each has a ``kind`` and the fields of its class, lengths in mm; in scenes of
+motions it may move, smoothly between its moments. In the folder of a run their numbers are in an npz, and in JSON what they are
+and a digest of them."""
 
 import hashlib
 from dataclasses import MISSING, fields
@@ -83,16 +51,12 @@ class _Grid(Table):
 
 
 class _Motion(Table):
-    """How an obstacle moves."""
-
     moments: Annotated[list, msgspec.Meta(min_length=1)]
     pivot: Vector | None = None
     turn_axis: Vector | None = None
 
 
 class _Moment(Table):
-    """Where it is at a moment."""
-
     time_s: NotNegative
     shift: Vector | None = None
     turns: Finite | None = None
@@ -120,7 +84,6 @@ def obstacles_of(source, rows: list, time: np.ndarray | None = None) -> list[Obs
 
 
 def _obstacle(source, key: str, row, time: np.ndarray | None) -> Obstacle | Moving:
-    """One obstacle of the file."""
     if not isinstance(row, dict) or "kind" not in row:
         raise InputError(source, f"{key}.kind", "missing", f"give one of {', '.join(KINDS)}")
     kind = KINDS[checked(source, f"{key}.kind", row["kind"], Literal[tuple(KINDS)])]
@@ -143,7 +106,6 @@ def _obstacle(source, key: str, row, time: np.ndarray | None) -> Obstacle | Movi
 
 
 def _moving(source, key: str, obstacle: Obstacle, motion: _Motion, time: np.ndarray) -> Moving:
-    """The obstacle with its motion."""
     axis = obstacle.placed[1][0, :, 2] if motion.turn_axis is None else unit_direction(
         source, f"{key}.turn_axis", motion.turn_axis)
     path = toml_file.interpolated(source, f"{key}.moments", motion.moments, _Moment, {"shift": np.zeros(3), "turns": 0.0}, time)

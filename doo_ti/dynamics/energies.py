@@ -252,9 +252,9 @@ def damping_shares(dynamics: Dynamics, count: int, rate: float) -> np.ndarray:
 
 def stiffened(material: Material, dynamics: Dynamics, rate: float) -> Material:
     """The material with the stiffness that damping adds, and its rest curvature in that."""
-    if not dynamics.is_damped:
-        return material
     shares = damping_shares(dynamics, material.count, rate)
+    if not shares.any():
+        return material
     stiffer = 1.0 / (1.0 - shares)
     rest = np.zeros((1, 1, 2)) if material.rest_curvature is None else material.rest_curvature
     return Material(material.bend * stiffer[:, :1, None, None], material.twist * stiffer[:, 1:], material.weight,

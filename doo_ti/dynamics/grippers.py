@@ -81,10 +81,8 @@ class Grippers:
     def resting(cls, clamps: Clamps, instants: int) -> "Grippers":
         """Clamps that do not move, at two instants or more."""
         require_whole("Grippers.resting", "instants", instants, 2)
-        def still(array):
-            array = np.asarray(array, dtype=np.float64)
-            return np.broadcast_to(array[:, None], (len(array), instants, *array.shape[1:]))
-        return cls(clamps.start, clamps.end, *(still(getattr(clamps, name)) for name in POSES))
+        poses = (np.asarray(getattr(clamps, name))[:, None] for name in POSES)
+        return cls(clamps.start, clamps.end, *(np.repeat(pose, instants, axis=1) for pose in poses))
 
     def take(self, rows: Rows) -> "Grippers":
         """The grippers of the rods named by ``rows``."""

@@ -1,7 +1,7 @@
 """What a rod in motion has besides its material, how it starts, and the time steps it makes (docs/dynamics.md)."""
 
 from dataclasses import dataclass, fields
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -136,12 +136,12 @@ class Dynamics:
 
     __repr__ = short_repr
 
-    density: np.ndarray | None = None
-    bend_damping: np.ndarray = 0.0
-    twist_damping: np.ndarray = 0.0
-    drag: np.ndarray = 0.0
-    quadratic_drag: np.ndarray = 0.0
-    point_mass: np.ndarray = 0.0
+    density: Annotated[np.ndarray | None, "() | 1G", float] = None
+    bend_damping: Annotated[np.ndarray, "() | 1G", float] = 0.0
+    twist_damping: Annotated[np.ndarray, "() | 1G", float] = 0.0
+    drag: Annotated[np.ndarray, "() | 1G", float] = 0.0
+    quadratic_drag: Annotated[np.ndarray, "() | 1G", float] = 0.0
+    point_mass: Annotated[np.ndarray, "() | 1G | 1G V", float] = 0.0
 
     if TYPE_CHECKING:  # what it takes; the fields are the arrays that it makes of them
         def __init__(self, density: ArrayLike | None = None, bend_damping: ArrayLike = 0.0, twist_damping: ArrayLike = 0.0,
@@ -155,26 +155,13 @@ class Dynamics:
             array = real_array("Dynamics", entry.name, value, "give real numbers").astype(np.float64)
             if not (np.isfinite(array).all() and (array >= 0).all()):
                 raise InputError("Dynamics", entry.name, "negative or not finite", "give zero or more")
-            most = 2 if entry.name == "point_mass" else 1
-            if array.ndim > most:
-                raise InputError("Dynamics", entry.name, f"shape {array.shape}",
-                                 "give a number, (G,) or (G, V)" if most == 2 else "give a number or (G,)")
             object.__setattr__(self, entry.name, array)
-        if len({len(array) for array in self._arrays() if array.ndim and len(array) > 1}) > 1:
-            raise InputError("Dynamics", "drag, damping, point_mass", "leading lengths differ", "give one value or one per rod")
-
-    def _arrays(self) -> list[np.ndarray]:
-        return [array for entry in fields(self) if (array := getattr(self, entry.name)) is not None]
 
     @property
     def count(self) -> int:
         """Number of rows: G, or one for all."""
-        return max((len(array) for array in self._arrays() if array.ndim), default=1)
-
-    @property
-    def is_damped(self) -> bool:
-        """Whether bending or twisting is damped in any rod."""
-        return bool((self.bend_damping > 0).any() or (self.twist_damping > 0).any())
+        arrays = (getattr(self, entry.name) for entry in fields(self))
+        return max((len(array) for array in arrays if array is not None and array.ndim), default=1)
 
     def column(self, name: str, count: int) -> np.ndarray:
         """(count,) the field of that name."""

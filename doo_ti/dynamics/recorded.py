@@ -229,11 +229,9 @@ def elapsed_steps(held: np.ndarray) -> np.ndarray:
     frames around, in the same directions. With moves d of all and the median u of their moves around, n = Σ d·u / Σ u·u.
     """
     moves = np.diff(held, axis=1)
-    around = np.full((2 * NEIGHBOURS, *moves.shape), np.nan)
-    for k, offset in enumerate([*range(-NEIGHBOURS, 0), *range(1, NEIGHBOURS + 1)]):
-        if abs(offset) < moves.shape[1]:
-            around[k, :, max(0, -offset) : moves.shape[1] - max(0, offset)] = (
-                moves[:, max(0, offset) : moves.shape[1] + min(0, offset)])
+    padded = np.pad(moves, ((0, 0), (NEIGHBOURS, NEIGHBOURS), (0, 0), (0, 0)), constant_values=np.nan)
+    windows = np.lib.stride_tricks.sliding_window_view(padded, 2 * NEIGHBOURS + 1, axis=1)
+    around = np.moveaxis(np.delete(windows, NEIGHBOURS, axis=-1), -1, 0)
     usual = np.nanmedian(around, axis=0)
     square = np.sum(usual**2, axis=(-2, -1))
     # Longer than the moves on both sides: a gripper that starts or stops at once moves usually on one of them.

@@ -27,7 +27,7 @@ from doo_ti.io.motion_file import MOST_MOMENTS, ClampPath
 from doo_ti.io.toml_file import ClampName, Finite, MaterialKeys, Moment, NotNegative, Positive, Table, Vector, checked
 from doo_ti.rod.frames import quaternion_product, smallest_rotation, unit_direction
 from doo_ti.rod.shapes import end_clamps, overhand_knot, with_end_edges
-from doo_ti.rod.types import Clamp, Clamps, Configuration, Material
+from doo_ti.rod.types import POSES, Clamp, Clamps, Configuration, Material
 from doo_ti.system.errors import InputError
 from doo_ti.system.terminal import in_line
 
@@ -64,16 +64,13 @@ class MotionScene:
     @property
     def path(self) -> ClampPath:
         """Where the clamps go."""
-        held = self.held
-        return ClampPath(self.time, held.start_position[:, None], held.end_position[:, None], held.start_frame[:, None],
-                         held.end_frame[:, None], held.end_rotation[:, None], source=self.source)
+        return ClampPath(self.time, *(getattr(self.held, name)[:, None] for name in (*POSES, "end_rotation")),
+                         source=self.source)
 
     @property
     def grippers(self) -> Grippers:
         """The same at the instants of a motion."""
-        held = self.held
-        return Grippers(self.clamps.start, self.clamps.end, held.start_position[None], held.end_position[None],
-                        held.start_frame[None], held.end_frame[None])
+        return Grippers(self.clamps.start, self.clamps.end, *(getattr(self.held, name)[None] for name in POSES))
 
     def surroundings(self, between: int = 1) -> Surroundings:
         """What the rods may touch, at as many states ``between`` the instants. Raises InputError for wrong obstacles."""
@@ -203,18 +200,19 @@ def _start(path: Path, rod: _Rod, file: _File) -> Configuration:
 def _materials(path: Path, file: _File) -> tuple[tuple[str, ...], Material, Dynamics | None, np.ndarray | None]:
     keys = {f"materials.{name}": checked(path, f"materials.{name}", values, InertiaKeys)
             for name, values in file.materials.items()}
-    found = [toml_file.stated_material(path, key, one) for key, one in keys.items()]
-    for (key, one), own in zip(keys.items(), found, strict=True):
-        checked_material(path, key, one, own)
+    found = [checked_material(path, key, one)[0] for key, one in keys.items()]
     material = Material(*(np.array([getattr(one, field) for one in found]) for field in ("bend", "twist", "weight")))
     return (tuple(map(in_line, file.materials)), material,
             None if file.rate_hz is None else _dynamics(path, keys, found), toml_file.newtons(found))
 
 
-def checked_material(path: Path, key: str, keys: MaterialKeys, stated: toml_file.StatedMaterial) -> Material:
-    """The material of the table ``key``. Raises InputError, naming its key, for one that no rod has."""
+def checked_material(path: Path, key: str, keys: MaterialKeys, unit_density: float | None = None
+                     ) -> tuple[toml_file.StatedMaterial, Material]:
+    """What the table ``key`` states (:func:`.stated_material`), and the material. Raises InputError, naming its key, for one
+    that no rod has."""
+    stated = toml_file.stated_material(path, key, keys, unit_density)
     try:
-        return Material(stated.bend[None], stated.twist, stated.weight)
+        return stated, Material(stated.bend[None], stated.twist, stated.weight)
     except InputError as error:
         field = error.field if keys.EI is None else {"bend": "EI", "twist": "GJ"}.get(error.field, error.field)
         raise InputError(path, f"{key}.{field}", error.problem, error.remedy) from None

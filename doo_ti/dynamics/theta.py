@@ -10,25 +10,42 @@ from pathlib import Path
 from typing import Annotated
 
 import numpy as np
+from msgspec import Meta, Struct
 from numpy.polynomial import legendre
 from scipy.special import stdtrit
 
 from doo_ti.contact.surroundings import Surroundings
 from doo_ti.dynamics.parameters import Dynamics
+from doo_ti.io.toml_file import Finite, NotNegative, Positive, Vector, checked
 from doo_ti.relaxation.relax import relax
 from doo_ti.relaxation.sensitivity import sensitivity
 from doo_ti.rod.frames import bishop_frames, unit_vectors
 from doo_ti.rod.observations import Observations
 from doo_ti.rod.start import check_experiment, observation_clamps, start_configuration
-from doo_ti.rod.types import LARGEST, Clamps, Configuration, Material, Solution, unit_up
+from doo_ti.rod.types import Clamps, Configuration, Material, Solution, unit_up
 from doo_ti.system.arguments import owning, short_repr, typed
 from doo_ti.system.errors import InputError
 from doo_ti.system.files import MOST_TEXT_BYTES, read_content
 
-FRICTION = "friction"  # its name in a file, where one may be left out
 FILE_KEYS = {"bend": "bend_mm3", "twist_ratio": "twist_ratio", "bend_damping": "bend_damping_s", "drag": "drag_per_s",
              "quadratic_drag": "quadratic_drag_per_mm", "marker_share": "marker_share"}
 """Numbers of Θ and their names in a file."""
+
+
+class _File(Struct):
+    """What a file must hold of Θ; what else it holds is not read."""
+
+    bend_mm3: Positive
+    twist_ratio: Positive
+    bend_damping_s: NotNegative
+    drag_per_s: NotNegative
+    quadratic_drag_per_mm: NotNegative
+    marker_share: Annotated[float, Meta(ge=0, lt=1)]
+    rest_curvature_modes_per_mm: tuple[list[Finite], list[Finite]]
+    rest_length_mm: Annotated[list[Positive], Meta(min_length=4)]
+    roll_reference: Vector
+    up: Vector
+    friction: NotNegative | None = None
 
 
 @owning
@@ -85,7 +102,7 @@ def save_form(theta: MotionTheta) -> dict:
     return {key: getattr(theta, name) for name, key in FILE_KEYS.items()} | {
         "twist_mm3": theta.bend * theta.twist_ratio, "weight": 1.0, "rest_curvature_modes_per_mm": theta.rest,
         "rest_curvature_per_mm": theta.rest_curvature, "rest_length_mm": theta.rest_length,
-        "roll_reference": theta.reference, "up": theta.up, FRICTION: theta.friction}
+        "roll_reference": theta.reference, "up": theta.up, "friction": theta.friction}
 
 
 @typed
@@ -99,38 +116,16 @@ def load_theta(path: str | Path) -> MotionTheta:
     except (ValueError, RecursionError) as error:
         raise InputError(path, "file", f"not JSON ({str(error).splitlines()[0]})",
                          "name a file that doo-ti identify has written; copy EI and GJ of refine to --EI and --GJ") from None
-    numbers = {name: float(_numbers(path, content, key, (), name == "bend" or name == "twist_ratio"))
-               for name, key in FILE_KEYS.items()}
-    if not numbers["marker_share"] < 1:
-        raise InputError(path, "marker_share", f"{numbers['marker_share']:g}", "give a share from 0 to below 1")
-    modes = _numbers(path, content, "rest_curvature_modes_per_mm", (2, None))
-    length = _numbers(path, content, "rest_length_mm", (None,))
-    reference = _numbers(path, content, "roll_reference", (3,))
-    if not (length > 0).all() or len(length) < 4:
-        raise InputError(path, "rest_length_mm", "not the lengths of four edges or more", "give positive lengths in mm")
+    stated = checked(path, "", content, _File)
+    modes, reference = stated.rest_curvature_modes_per_mm, np.array(stated.roll_reference)
+    if len(modes[0]) != len(modes[1]):
+        raise InputError(path, "rest_curvature_modes_per_mm", f"{len(modes[0])} and {len(modes[1])} numbers",
+                         "give as many for both directions")
     if not np.linalg.norm(reference) > 0:
         raise InputError(path, "roll_reference", "no direction", "give three numbers, not all zero")
-    friction = None if content.get(FRICTION) is None else float(_numbers(path, content, FRICTION, ()))
-    return MotionTheta(**numbers, rest=modes, rest_length=length, reference=reference,
-                       up=unit_up(_numbers(path, content, "up", (3,)), str(path)), friction=friction)
-
-
-def _numbers(path, content: dict, key: str, shape: tuple, positive: bool = False) -> np.ndarray:
-    """The numbers of ``key`` in that shape, None standing for any length."""
-    if key not in content:
-        raise InputError(path, key, "missing", "name a file that doo-ti identify has written")
-    try:
-        value = np.array(content[key])
-    except ValueError:  # lists of different lengths
-        value = np.array(np.nan)
-    value = value.astype(np.float64) if value.dtype.kind in "if" else np.array(np.nan)  # no text, flags, or endless numbers
-    fits = value.ndim == len(shape) and all(n in (None, m) for n, m in zip(shape, value.shape, strict=True))
-    if not fits or not (np.abs(value) <= LARGEST).all():
-        form = "a number" if not shape else f"an array of shape ({', '.join('N' if n is None else str(n) for n in shape)})"
-        raise InputError(path, key, f"{str(content[key])[:60]!r} is not {form}", f"give {form}")
-    if not shape and (value < 0 or positive and value == 0):
-        raise InputError(path, key, f"{value:g}", f"give a number {'above' if positive else 'from'} zero")
-    return value
+    return MotionTheta(**{name: getattr(stated, key) for name, key in FILE_KEYS.items()}, rest=np.array(modes),
+                       rest_length=np.array(stated.rest_length_mm), reference=reference,
+                       up=unit_up(stated.up, str(path)), friction=stated.friction)
 
 
 def simulated(thetas: list[MotionTheta]) -> tuple[Material, Dynamics]:

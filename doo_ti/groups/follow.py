@@ -21,7 +21,7 @@ from doo_ti.groups.ties import JOINT_ITEMS, TWIST
 from doo_ti.relaxation import tables as of
 from doo_ti.relaxation.newton import Newton
 from doo_ti.relaxation.time_sweep import DRAG, DRAG_BY_SPEED, INERTIA, LOAD
-from doo_ti.rod.types import Clamps, Configuration
+from doo_ti.rod.types import Clamps, Configuration, finite_rods
 from doo_ti.system.arguments import typed
 from doo_ti.system.errors import InputError
 
@@ -58,14 +58,7 @@ def follow_group(group: Group, clamps: Sequence[Sequence[Clamps]], solver: Newto
         group = replace(group, clamps=held)
         before = relaxed(group, solver, up, obstacles, radius, contact, before, motion)
         yield before
-        group = replace(group, rods=[_placed(*rods) for rods in zip(group.rods, before.rods, strict=True)])
-
-
-def _placed(old: Configuration, new: Configuration) -> Configuration:
-    """The rods where they are now, or where they were if they have no place."""
-    lost = np.isnan(new.start).any(axis=1)
-    return replace(new, start=np.where(lost[:, None], old.start, new.start),
-                   quaternions=np.where(lost[:, None, None], old.quaternions, new.quaternions))
+        group = replace(group, rods=[finite_rods(now, last) for now, last in zip(before.rods, group.rods, strict=True)])
 
 
 class MovingGroups:

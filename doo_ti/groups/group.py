@@ -159,11 +159,6 @@ class Group:
             raise InputError("relax_group", "radius", f"{values.min():g}", "give positive numbers of mm")
         return np.broadcast_to(values, (len(values), rods))
 
-    def radii_in(self, row: int, radius: ArrayLike) -> np.ndarray:
-        """(G,) :meth:`radii` in the group ``row``."""
-        values = self.radii(radius)
-        return values[row if len(values) > 1 else 0]
-
     def at_vertices(self, values: np.ndarray) -> np.ndarray:
         """(R, vertices of the group) of ``values`` (R, G) of the rods."""
         return np.repeat(values, np.diff(self.first_vertices), axis=1)

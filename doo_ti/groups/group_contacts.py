@@ -31,7 +31,6 @@ class GroupContacts(ties.Ties, SelfContacts):
 
     @picked
     def group(self, rod):
-        """That of the group."""
         return self.own(rod).part(ties.GROUP, pair_items(rod.edges))
 
     @picked
@@ -44,7 +43,6 @@ class GroupContacts(ties.Ties, SelfContacts):
 
     @picked
     def member(self, rod, index):
-        """Of the rod ``index``."""
         return self.group_vertex(rod, rod.edges + 1).part(ties.MEMBER, index * len(ties.MEMBER))
 
     @picked
@@ -154,7 +152,7 @@ class GroupContacts(ties.Ties, SelfContacts):
         """As the obstacles and contacts of one rod, and the group's own numbers."""
         SelfContacts.load(self, tables, slot, rod, unit, scale)
         one, row = self.of_lane(tables, slot), tables.rods[rod, of.RESULT_ROW]
-        tied, head = tables.ties.shape[0], self.group(one)
+        head = self.group(one)
         if tables.touching == 0:
             one.contacts.phase = FINE
         for v in range(one.edges + 1):  # no edge ends where a rod begins, so that none sags there
@@ -181,21 +179,18 @@ class GroupContacts(ties.Ties, SelfContacts):
             vertex.spring = tables.burden[row, v, 6] * unit / force_unit
         for g in range(one.rods):
             self.member(one, g).begin = scaled(read(tables.places, row, g, 0), 1.0 / unit)
-        for t in range(tied):
-            tie = self.tie(one, t)
+        most, total = ti.cast(0.0, ti.f64), tables.clamp[tables.rods[rod, of.CLAMP_ROW], of.TOTAL]
+        for t in range(tables.ties.shape[0]):
+            tie, stiffness_of_tie = self.tie(one, t), tables.targets[row, t, 8]
             tie.target = scaled(read(tables.targets, row, t, 0), 1.0 / unit)
-            for k in ti.static(range(3)):
-                tie.force.now[k] = tables.tie_forces[row, t, k] / force_unit
-                tie.moment.now[k] = tables.tie_forces[row, t, 3 + k] / (force_unit * unit)
             tie.rest = read(tables.targets, row, t, 4, count=4)
             tie.active = tables.targets[row, t, 3]
-            tie.scale = tables.targets[row, t, 8] / divisor
-        most = ti.cast(0.0, ti.f64)
-        for t in range(tied):
+            tie.scale = stiffness_of_tie / divisor
             for k in ti.static(range(3)):
-                moment = tables.tie_forces[row, t, 3 + k] / tables.clamp[tables.rods[rod, of.CLAMP_ROW], of.TOTAL]
-                largest = ti.max(ti.abs(tables.tie_forces[row, t, k]), ti.abs(moment))
-                most = ti.max(most, largest * (unit * unit) / tables.targets[row, t, 8])
+                force, moment = tables.tie_forces[row, t, k], tables.tie_forces[row, t, 3 + k]
+                tie.force.now[k] = force / force_unit
+                tie.moment.now[k] = moment / (force_unit * unit)
+                most = ti.max(most, ti.max(ti.abs(force), ti.abs(moment / total)) * (unit * unit) / stiffness_of_tie)
         bound = ties.MOST_GROWTH * (most + ties.NOTABLE_MISS * scale.total * stiffness)
         head.bound = ti.select(most > 0.0, bound, 0.0 * bound)
         head.give = ti.select(most > 0.0, ties.GIVE, ties.NO_BORDER) / stiffness

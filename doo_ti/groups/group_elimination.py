@@ -98,30 +98,13 @@ class GroupElimination(DenseLoadedElimination):
     # --- the energies of places ---
 
     def collect(self, rod, found):
-        self.contacts.begin(rod)
-        self.find_tips(rod)
-        end = variable(self.tip_of(rod, rod.rods - 1))
-        self.contacts.look(rod, rod.edges, end)
-        for back in range(rod.edges):
-            e = rod.edges - 1 - back
-            edge = self.edge(rod.head, e)
-            following = rod.begins[e]
-            if following == 0:
-                t = tangent(edge.frame)
-                start = minus(end, scaled(t, edge.length))
-                self.add_edge(rod, e, self.load(rod, edge, e, start, end, found))
-                end = start
-            else:
-                self.touch_begin(rod, e + 1)
-                end = self.tip_of(rod, following - 1)
-                self.contacts.look(rod, e, end)
-        self.touch_begin(rod, 0)
+        DenseLoadedElimination.collect(self, rod, found)
         self.contacts.hang(rod)
         self.contacts.bind(rod)
         self.weld(rod)
 
-    def find_tips(self, rod):
-        """Where all rods end."""
+    def tip(self, rod):
+        """The far end of the last rod, where contacts begin. Keeps where all rods end."""
         x = variable(plus(rod.anchor, rod.head.drift))
         for e in range(rod.edges):
             edge = self.edge(rod.head, e)
@@ -131,10 +114,15 @@ class GroupElimination(DenseLoadedElimination):
                 x = self.contacts.member(rod, following).begin
             else:
                 x = plus(x, scaled(tangent(edge.frame), edge.length))
-        self.contacts.member(rod, rod.rods - 1).tip = x
+        self.contacts.begin(rod)
+        self.contacts.look(rod, rod.edges, x)
+        return x
 
-    def tip_of(self, rod, index):
-        return self.contacts.member(rod, index).tip
+    def cross_break(self, rod, e):
+        self.touch_begin(rod, e + 1)
+        end = variable(self.contacts.member(rod, rod.begins[e] - 1).tip)
+        self.contacts.look(rod, e, end)
+        return end
 
     # --- H ---
 

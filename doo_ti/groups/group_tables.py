@@ -3,10 +3,12 @@ N groups, G rods, V vertices of all rods, E edges of their chain, breaks include
 """
 
 from dataclasses import replace
+from itertools import permutations
 
 import numpy as np
 
 from doo_ti.contact.surroundings import LEAST_ARC, Itself, Surroundings, smallest_of_pairs
+from doo_ti.dynamics.parameters import vertex_lengths
 from doo_ti.groups.group import Group
 from doo_ti.groups.group_newton import GroupTables
 from doo_ti.groups.ties import CLOSED, JOINT_ITEMS, STIFFNESS_OF_TIES
@@ -69,8 +71,7 @@ class Member:
     @property
     def weights(self) -> np.ndarray:
         """(1 or N, V) energy per mm by which the weight pulls at each vertex."""
-        both = np.pad(self.lengths, ((0, 0), (0, 1))) + np.pad(self.lengths, ((0, 0), (1, 0)))
-        return self.material[:, of.WEIGHT, None] * both
+        return 2.0 * self.material[:, of.WEIGHT, None] * vertex_lengths(self.lengths)
 
     @property
     def clamped(self) -> np.ndarray:
@@ -324,11 +325,9 @@ def edges_apart(group: Group, lengths: np.ndarray, begins: np.ndarray, radii: np
         for number, vertex in enumerate(tied):
             own = of_edge == rod_of[vertex]
             away[number][:, own] = np.maximum(arc[:, :-1] - arc[:, [vertex]], arc[:, [vertex]] - arc[:, 1:])[:, own]
-        for a in range(len(tied)):
-            for b in range(len(tied)):
-                if a != b:
-                    mean = 0.5 * (least[:, rod_of[tied[[a]]]] + least[:, rod_of[tied[[b]]]])
-                    apart &= ~((away[a][:, late] <= mean) & (away[b][:, early] <= mean))
+        for a, b in permutations(range(len(tied)), 2):
+            mean = 0.5 * (least[:, rod_of[tied[[a]]]] + least[:, rod_of[tied[[b]]]])
+            apart &= ~((away[a][:, late] <= mean) & (away[b][:, early] <= mean))
     return np.ascontiguousarray(apart, dtype=np.int32)
 
 

@@ -223,9 +223,8 @@ def _solution(group: Group, table: GroupTables, state: GroupState) -> GroupSolut
     held = np.stack([np.broadcast_to(np.asarray(clamps.start) > 0, (group.count,)) for clamps in group.clamps], axis=1)
     start_force = -np.stack([own.sum(axis=1) for own in group.by_rod(pull)], axis=1) * held[..., None]
     gap = smallest_gap(vertices, table.apart, group.at_vertices(table.radii))
-    if table.contact.surroundings.bodies:
-        for rod, radius in zip(rods, table.radii.T, strict=True):
-            gap = np.minimum(gap, Surroundings(table.contact.surroundings.bodies, radius).smallest_gap(rod.vertices))
+    for rod, radius in zip(rods, table.radii.T, strict=True):
+        gap = np.minimum(gap, Surroundings(table.contact.surroundings.bodies, radius).smallest_gap(rod.vertices))
     return GroupSolution(
         group=result, energy=results[:, of.ENERGY] + weight.sum(axis=1) * height, kinetic=np.where(lost, np.nan, 0.0),
         residual=results[:, of.RESIDUAL], closure=np.where(lost, np.nan, miss.max(axis=1) / clamp[:, of.TOTAL]),

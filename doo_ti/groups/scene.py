@@ -22,12 +22,12 @@ from doo_ti.dynamics.parameters import Dynamics
 from doo_ti.dynamics.scene import InertiaKeys, checked_material, stated_instants
 from doo_ti.groups.group import Group, Tie
 from doo_ti.io import toml_file
-from doo_ti.io.toml_file import ClampName, NotNegative, Positive, Table, Vector, checked, stated_material
+from doo_ti.io.toml_file import ClampName, NotNegative, Positive, Table, Vector, checked
 from doo_ti.relaxation.newton import MOST_IN_CONTACT, Newton
 from doo_ti.rod.frames import unit_direction
 from doo_ti.rod.material import STANDARD_GRAVITY
 from doo_ti.rod.shapes import rod_along, with_end_edges
-from doo_ti.rod.types import LARGEST, Clamp, Clamps, Configuration, Material
+from doo_ti.rod.types import LARGEST, POSES, Clamp, Clamps, Configuration, Material
 from doo_ti.system.errors import InputError
 from doo_ti.system.terminal import in_line
 
@@ -162,12 +162,11 @@ def _materials(path: Path, tables: dict, moves: bool) -> tuple[dict[str, tuple[M
     if odd is not None:
         raise InputError(path, f"materials.{odd}", "in other units than the first material",
                          "state all by bend, or all by EI and linear_density")
-    stated = {name: stated_material(path, f"materials.{name}", one, first.linear_density if first.EI is not None else None)
-              for name, one in keys.items()}
-    found = {name: (checked_material(path, f"materials.{name}", keys[name], one),
-                    keys[name].dynamics(path, f"materials.{name}", one.weight) if moves else None)
-             for name, one in stated.items()}
-    units = toml_file.newtons(list(stated.values()))
+    unit = first.linear_density if first.EI is not None else None
+    each = {name: checked_material(path, f"materials.{name}", one, unit) for name, one in keys.items()}
+    found = {name: (material, keys[name].dynamics(path, f"materials.{name}", stated.weight) if moves else None)
+             for name, (stated, material) in each.items()}
+    units = toml_file.newtons([stated for stated, _ in each.values()])
     if units is not None and np.ptp(units) > SAME_UNIT * units[0]:
         raise InputError(path, "materials", "weights and linear densities that are not proportional", "correct them")
     return found, None if units is None else float(units[0])
@@ -210,8 +209,7 @@ def _clamps(path: Path, key: str, rod: _Rod, start: Configuration, time: np.ndar
     """Those of a rod at each of T moments."""
     held = toml_file.end_paths(path, f"{key}.moments", rod.moments, start, time)
     kinds = Clamp[rod.start.upper()], Clamp[rod.end.upper()]
-    places = (held.start_position, held.end_position, held.start_frame, held.end_frame)
-    return [Clamps(*kinds, *(values[moment][None] for values in places)) for moment in range(len(time))]
+    return [Clamps(*kinds, *(getattr(held, name)[moment][None] for name in POSES)) for moment in range(len(time))]
 
 
 def _tie(path: Path, key: str, row, names: list[str], rods: list[Configuration], newton: float | None) -> Tie:

@@ -95,10 +95,7 @@ class Ties:
 
     def lever(self, rod, index):
         """By what a miss of those rows is multiplied for that of a place."""
-        lever = 0.0 * rod.total + 1.0
-        if rod.borders[index, 1] > 0:
-            lever = rod.total
-        return lever
+        return ti.select(rod.borders[index, 1] > 0, rod.total, 0.0 * rod.total + 1.0)
 
     def miss(self, rod):
         """The largest miss of a tie, over the length of the longest rod."""

@@ -265,29 +265,32 @@ class ContactPlaces:
 
     def rub_vertex(self, rod, o, at, contact):
         """Add the friction of the vertex."""
-        limit = self.limit(rod, o, contact.force)
-        rubbed = self.rubbed(rod, limit, contact.friction, contact.rubbed_normal, self.slid(rod, at, o), rod.contacts.stiffness)
+        rubbed = self.rubbed_vertex(rod, o, at, contact)
         self.add_penalty(rod, rubbed.energy, dot(rubbed.pull, rubbed.pull) / rod.contacts.stiffness)
         add(rod.contacts, end_gradient=rubbed.pull, end_curvatures=rubbed.stiffness)
 
     def rub_between(self, rod, o, index, contact, counts):
         """Add the friction at the nearest point of an edge in the lanes where it ``counts``."""
         zero = 0.0 * rod.total
-        s, u = contact.rubbed_place, self.slid_between(rod, index, contact, o)
-        limit = self.limit(rod, o, contact.force_between)
-        rubbed = self.rubbed(rod, limit, contact.friction_between, contact.rubbed_normal_between, u, rod.contacts.stiffness)
+        s, rubbed = contact.rubbed_place, self.rubbed_between(rod, o, index, contact)
         pull, bent = chosen(counts, rubbed.pull, repeated(zero, 3)), chosen(counts, rubbed.stiffness, repeated(zero, 6))
         self.add_penalty(rod, ti.select(counts, rubbed.energy, zero), dot(pull, pull) / rod.contacts.stiffness)
         add(rod.contacts, gradient=pull, gradient_s=scaled(pull, s), curvatures=bent, curvatures_s=scaled(full(bent), s),
             curvatures_ss=scaled(bent, s * s))
 
-    def limit(self, rod, o, force):
-        """μ λ, the largest friction of a contact with obstacle ``o``."""
-        return self.obstacle(rod, o).friction * force
+    def rubbed_vertex(self, rod, o, at, contact):
+        """:meth:`rubbed` of the contact of the vertex ``at`` with obstacle ``o``."""
+        limit, u = self.obstacle(rod, o).friction * contact.force, self.slid(rod, at, o)
+        return self.rubbed(rod, limit, contact.friction, contact.rubbed_normal, u, rod.contacts.stiffness)
+
+    def rubbed_between(self, rod, o, index, contact):
+        """The same at the nearest point of the edge to vertex ``index``."""
+        limit, u = self.obstacle(rod, o).friction * contact.force_between, self.slid_between(rod, index, contact, o)
+        return self.rubbed(rod, limit, contact.friction_between, contact.rubbed_normal_between, u, rod.contacts.stiffness)
 
     def rubbed(self, rod, limit, friction, gradient, u, stiffness):
-        """Friction of a contact that has moved by ``u``, with that penalty ``stiffness``: its energy, its derivative and its
-        stiffness."""
+        """Friction of a contact that has moved by ``u``, at most ``limit`` = μ λ, with that penalty ``stiffness``: its energy,
+        its derivative and its stiffness."""
         normal = self.distance.unit(gradient)
         whole = plus(friction, scaled(u, stiffness))
         z = minus(whole, scaled(normal, dot(normal, whole)))

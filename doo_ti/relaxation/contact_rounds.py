@@ -121,12 +121,11 @@ class ContactRounds(ContactEnergy):
             at = self.vertex(rod, v)
             for o in range(rod.obstacles):
                 contact = self.contact(at, o)
+                self.update_vertex(rod, contact, due, found)
                 if self.is_close(rod, contact) or self.is_edge_close(rod, v, o):
-                    self.update_vertex(rod, contact, due, found)
                     if self.is_curved(rod, o):
                         self.update_edge(rod, v, o, contact, due, found)
                 else:  # in no lane a vertex, or the edge that ends there, is close
-                    self.update_vertex(rod, contact, due, found)
                     self.note_change(found, contact.force_between, zero)
                     choose(contact, due, force_between=zero, kept_between=zero)
                     contact.sagging = zero
@@ -138,10 +137,9 @@ class ContactRounds(ContactEnergy):
         # Friction, which settles no sooner with a larger κ, does not count.
         slow = due & (change > SLOW * rod.contacts.change) & (change > rod.contacts.tolerance)
         slow = slow & (stiffness < STIFFEST * rod.contacts.first_stiffness)
-        choose(rod.contacts, due, largest=found.largest)
+        choose(rod.contacts, due, largest=found.largest, change=change)
         choose(rod.contacts, slow, stiffness=STIFFER * stiffness)
         self.tighten(rod, due)
-        choose(rod.contacts, due, change=change)
         return largest_of(change, ti.select(due, found.rubbed / stiffness, zero))
 
     def jammed(self, rod):
@@ -225,19 +223,13 @@ class ContactRounds(ContactEnergy):
         change = zero
         close = self.close_lanes(rod, contact.value)
         if self.some(close | (contact.force > 0.0), zero):
-            limit = self.limit(rod, o, contact.force)
-            slid, stiffness = self.slid(rod, at, o), rod.contacts.stiffness
-            rubbed = self.rubbed(rod, limit, contact.friction, contact.rubbed_normal, slid, stiffness)
-            change = self.keep_friction(contact.of("friction"), rubbed.pull, due)
+            change = self.keep_friction(contact.of("friction"), self.rubbed_vertex(rod, o, at, contact).pull, due)
             choose(contact, due & close, rubbed_normal=contact.normal)
         else:
             change = self.keep_friction(contact.of("friction"), repeated(zero, 3), due)
         kept = contact.kept_between > 0.5
         if index > 0 and self.some(kept, zero):
-            limit, u = self.limit(rod, o, contact.force_between), self.slid_between(rod, index, contact, o)
-            stiffness, gradient = rod.contacts.stiffness, contact.rubbed_normal_between
-            between = self.rubbed(rod, limit, contact.friction_between, gradient, u, stiffness)
-            pull = chosen(kept, between.pull, repeated(zero, 3))
+            pull = chosen(kept, self.rubbed_between(rod, o, index, contact).pull, repeated(zero, 3))
             change = largest_of(change, self.keep_friction(contact.of("friction_between"), pull, due))
             choose(contact, due & kept, rubbed_normal_between=contact.normal_between, rubbed_place=contact.place_between)
         else:

@@ -30,13 +30,12 @@ class RodContacts(ContactRounds):
         eased = done & (rod.contacts.viscosity > 0.0)
         midway = midway | eased
         made = ti.select(midway, made, zero)
-        choose(rod.contacts, done, way_made=made)
-        # The clamps wait until the rod has come to rest without viscosity.
         further = ti.max(2.0 * rod.contacts.way, least)
-        choose(rod.contacts, done, way=ti.select(eased, zero, ti.min(further, one - made)))
+        way = ti.select(eased, zero, ti.min(further, one - made))  # clamps wait for a rod at rest without viscosity
         thinner = rod.contacts.viscosity / layout.STIFFER
         enough = thinner >= 0.5 * rod.contacts.first_viscosity  # rounding apart, the first one
-        choose(rod.contacts, done, viscosity=ti.select(enough, thinner, zero), multiplier=multiplier)
+        viscosity = ti.select(enough, thinner, zero)
+        choose(rod.contacts, done, way_made=made, way=way, viscosity=viscosity, multiplier=multiplier)
         choose(rod.contacts, done & ~midway, eased=zero)
         if ti.static(self.rub):
             choose(rod.contacts, done, work=rod.contacts.work + self.friction_work(rod))
@@ -50,9 +49,9 @@ class RodContacts(ContactRounds):
     def begin_rounds(self, rod, where):
         """Begin with the rounds of a step, from the forces that there are, in the lanes ``where``."""
         zero = 0.0 * rod.total
-        choose(rod.contacts, where, phase=zero + layout.ROUGH, change=zero + 1e30, stiffness=rod.contacts.first_stiffness)
+        choose(rod.contacts, where, phase=zero + layout.ROUGH, change=zero + 1e30, stiffness=rod.contacts.first_stiffness,
+               retried=zero, update_stiffness=zero, updates=zero)
         self.tighten(rod, where)
-        choose(rod.contacts, where, retried=zero, update_stiffness=zero, updates=zero)
 
     def friction_work(self, rod):
         """The work of friction since the instant before."""
@@ -179,7 +178,7 @@ class RodContacts(ContactRounds):
                 if v < one.edges:
                     force += self.vertex(one, v + 1).force_start[k]
                 if ti.static(self.itself):
-                    force += self.pair_force(tables, slot, v, k)
+                    force -= in_f64(self.own_vertex(one, v).pull[k])
                 tables.forces[place, v, k] = force * force_unit
 
     def unload_touch(self, tables, slot, place):

@@ -48,6 +48,10 @@ class DenseElimination(DenseFactors):
         """Of a break the number of the rod behind it, else zero."""
         return 0
 
+    def cross_break(self, rod, e):
+        """From the rod behind a break to the one before: where that ends."""
+        return rod.target
+
     def eliminate(self, rod, shift, search, multiplier, miss):
         """Assemble H + shift and factor it; as :meth:`.LoadedElimination.eliminate`."""
         found = self.nothing_found(rod)
@@ -77,14 +81,16 @@ class DenseElimination(DenseFactors):
 
     def collect(self, rod, found):
         """Add the external energy and the contacts with obstacles, edge by edge, to the gradient and to K."""
-        end = self.tip(rod)
+        end = variable(self.tip(rod))
         for back in range(rod.edges):
             e = rod.edges - 1 - back
             edge = self.edge(rod.head, e)
-            t = tangent(edge.frame)
-            start = minus(end, scaled(t, edge.length))
-            self.add_edge(rod, e, self.load(rod, edge, e, start, end, found))
-            end = start
+            if self.begins(rod, e) == 0:
+                start = minus(end, scaled(tangent(edge.frame), edge.length))
+                self.add_edge(rod, e, self.load(rod, edge, e, start, end, found))
+                end = start
+            else:
+                end = self.cross_break(rod, e)
         if ti.static(self.pulls_start):
             gradient, curvature = self.load_start(rod, found)
             self.contacts.add_load(rod, 0, gradient)

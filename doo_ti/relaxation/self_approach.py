@@ -63,7 +63,6 @@ class ClosestApproach:
 
     @picked
     def vertex(self, head, v):
-        """The view of vertex ``v``."""
         return head.part(WAY, v * len(WAY))
 
     def work(self, tables, thread):
@@ -218,13 +217,6 @@ def _approach(by_frames: bool, before, after, rows, rest_length, radius, more) -
     return flags
 
 
-def _arc_between(radius, shortest, longest):
-    """mm of a rod with edges of these lengths that is between any two of them that count."""
-    # Between them lie whole edges: the fewest that are longer than LEAST_ARC.
-    fewest = np.floor(LEAST_ARC * radius / longest) + 1.0
-    return np.maximum(LEAST_ARC * radius, fewest * shortest)
-
-
 def stays_in_order(table: Tables, results: np.ndarray) -> np.ndarray:
     """(R,) rods whose edges all point along the line through their ends from the start to the end of their relaxation, at both
     so much that on the straight way between two places are as far apart along the line as the smallest cosine times the arc
@@ -233,7 +225,10 @@ def stays_in_order(table: Tables, results: np.ndarray) -> np.ndarray:
     shortest, longest, total = lengths.min(axis=1), lengths.max(axis=1), lengths.sum(axis=1)
     if len(lengths) > 1:
         shortest, longest, total = shortest[index], longest[index], total[index]
-    least = ((2.0 + ENOUGH) * radius + ROUNDING * total) / _arc_between(radius, shortest, longest)
+    # Between two edges that count lie whole edges: the fewest that are longer than LEAST_ARC.
+    fewest = np.floor(LEAST_ARC * radius / longest) + 1.0
+    between = np.maximum(LEAST_ARC * radius, fewest * shortest)
+    least = ((2.0 + ENOUGH) * radius + ROUNDING * total) / between
     return results[:, of.ALONG] > least
 
 
@@ -245,8 +240,7 @@ def approach_in_relaxation(start: np.ndarray, frames: np.ndarray, rest_length: n
     which only rods with an end that may turn do without passing through themselves. rest_length (1 or N, E) mm."""
     if not len(rods):
         return rods, rods
-    rows = np.empty((len(rods), 2), dtype=np.int32)
-    rows[:, START], rows[:, ROD] = np.arange(len(rods)), rods
+    rows = np.stack([np.arange(len(rods)), rods], axis=1).astype(np.int32)
     flags = _approach(True, start, frames, rows, rest_length, radius, 0.0)
     found = np.flatnonzero(flags)
     touching = flags[found] == TOUCHING

@@ -9,7 +9,7 @@ import taichi as ti
 from doo_ti.physics import pair
 from doo_ti.physics.number import device_functions
 from doo_ti.physics.quaternion import tangent
-from doo_ti.physics.tuples import dot, minus, plus, record, scaled, variable
+from doo_ti.physics.tuples import add, dot, minus, plus, record, scaled, variable
 from doo_ti.relaxation.time_sweep import TimeSweep
 
 LEAVING = 5.0  # tolerances of a gap: a vertex that an obstacle pushes may leave it in a step by no more
@@ -93,16 +93,14 @@ class TimeImpact(TimeSweep):
         x, last = scaled(place, rod.length_unit), vertex.place_1
         moved = variable(minus(x, last))
         found.energy = found.energy + length * dot(rod.gravity, scaled(moved, 1.0 / rod.length_unit))
-        found.energy = found.energy + vertex.load * (up[0] * moved[0] + up[1] * moved[1] + up[2] * moved[2])
+        found.energy = found.energy + vertex.load * dot(up, moved)
         found.energy = found.energy - dot(vertex.force, moved)
         middle = minus(scaled(plus(x, last), 0.5), vertex.spring_point)
         found.energy = found.energy + vertex.spring * dot(middle, moved)
         mass = vertex.inertia * time.interval * time.interval
         old, new = vertex.velocity_1, self.end_velocity(vertex, x, time)
         slow, fast = 0.5 * mass * dot(old, old), 0.5 * mass * dot(new, new)
-        found.energy = found.energy + (fast - slow)
-        found.slow, found.fast = found.slow + slow, found.fast + fast
-        found.mass = found.mass + mass
+        add(found, energy=fast - slow, slow=slow, fast=fast, mass=mass)
 
     def joint_energy(self, left, right, stiffness):
         """Of the joint between two frames."""

@@ -175,7 +175,7 @@ class GroupMotion:
             around = replace(surroundings, obstacles=[body.take(np.array([0])) for body in surroundings.obstacles])
         rods = [[rod.vertices[0] for rod in moment.rods] for moment in moments]
         force = np.array([np.concatenate([part[0] for part in moment.contact_force]) for moment in moments])
-        radii = None if around.radius is None else group.radii_in(0, around.radius)
+        radii = None if around.radius is None else group.radii(around.radius)[0]
         touched = Touched(around, np.array([np.concatenate(own) for own in rods])[None], force[None], newton)
         held = {f"{rod}, {end}": np.array([np.linalg.norm(getattr(moment, f"{end}_force")[0, row]) for moment in moments])
                 for row, rod in enumerate(names) for end in ("start", "end")}
