@@ -18,6 +18,9 @@ from doo_ti.system.terminal import in_line, progress
 
 MOST_LISTED = 8
 FAR_OFF = 0.02  # mean error after the fit over the rod's length: noise and friction do less, a wrong rate or direction more
+RATE_OFF, RATE_GAIN = 0.01, 0.3
+"""Relative change of the rate, and share of the squared residuals that it saves, with which it is likely to be wrong: of
+recordings at the right rate, losses left out of the fit, it saves a twentieth; at one that is wrong by 4 %, 0.4 to 0.7."""
 FITTED = ("bend_damping", "drag", "quadratic_drag", "twist_ratio", "marker_share", "friction")
 
 
@@ -87,6 +90,9 @@ def run(options: Namespace) -> int:
     share = summary["mean_error_mm"] / motion.edge_lengths().sum()
     doubts.say(options.motions[0], None if not share > FAR_OFF else f"after the fit the rod is {share:.1%} of its length off; "
                "check the rate, the unit, --up and the order of the markers")
+    doubts.say(options.motions[0], f"the motion fits better at about {found.rate:.3g} frames a second than at the "
+               f"{motion.rate:g} stated; check the rate" if found.rate_gain > RATE_GAIN and abs(
+                   found.rate / motion.rate - 1) > RATE_OFF else None)
     doubts.say(options.motions[0], "the best guess is half as far off if the last marker is on the gripper; give the markers "
                "from the gripper on" if motion.free_end and _better_reversed(motion, chosen, up) else None)
     if options.picture is not None:

@@ -6,7 +6,7 @@ Marks of still frames join the sum with the weight σ²_motion/σ²_still, σ_mo
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
@@ -16,7 +16,7 @@ from doo_ti.contact.surroundings import Surroundings
 from doo_ti.dynamics.parameters import Stepping
 from doo_ti.dynamics.recorded import RecordedMotion
 from doo_ti.dynamics.rollouts import Rollouts, require_smoothing, roll_reference
-from doo_ti.dynamics.theta import MotionTheta, Stills, Unknowns
+from doo_ti.dynamics.theta import LinearStills, MotionTheta, Stills, Unknowns
 from doo_ti.rod.observations import Observations, median_of_seen
 from doo_ti.rod.types import Clamp, Status
 from doo_ti.system.arguments import short_repr, typed
@@ -27,6 +27,7 @@ LONG_STEP = 5e-3
 """The same for differences of rollouts: they are off by the tolerance of gaps and average over contacts that begin."""
 BENDS = (3e-4, 3e-3, 3e-2, 0.3)  # bend stiffness over weight and the cube of the length, to begin with
 FRICTIONS = (0.1, 0.3, 0.6)  # coefficients to begin with
+FARTHEST = 0.5  # change of ln of the rate, beyond which it does not explain what recordings are off by
 CORRECTIONS = 2
 LEFT = 1 / 4  # of what they changed: the standard error that they leave
 
@@ -114,6 +115,8 @@ class Identified:
     cost        Σ ρ, mm²
     iterations  in all
     still_error (S,) mm, the mean distance of the marks of each still, of all sets one after the other; NaN for those left out
+    rate        frames per second at which the recordings would fit best, the other unknowns changing with it, to first order
+    rate_gain   share of the squared residuals that this would save
     """
 
     __repr__ = short_repr
@@ -127,6 +130,8 @@ class Identified:
     cost: float
     iterations: int
     still_error: np.ndarray
+    rate: float
+    rate_gain: float
 
     def parameters(self) -> list[dict]:
         """Name, value, 95 % interval and unit of every parameter."""
@@ -164,7 +169,8 @@ def identify(motion: RecordedMotion, begin: MotionTheta, options: IdentifyOption
     still = fit.linearised_stills(p, fit.variance(residual, ~failed))
     covariance = fit.covariance(residual, slopes, ~failed, still) + LEFT**2 * np.outer(p - coarse, p - coarse)
     return Identified(theta, unknowns, p, covariance, error, failed, cost, made,
-                      np.concatenate([np.zeros(0), *(part.error for part in still)]))
+                      np.concatenate([np.zeros(0), *(part.error for part in still)]),
+                      *fit.best_rate(p, residual, slopes, ~failed))
 
 
 def guesses(motion: RecordedMotion, options: IdentifyOptions, bend: float | None, up: ArrayLike) -> list[MotionTheta]:
@@ -206,19 +212,6 @@ def first_errors(motion: RecordedMotion, options: IdentifyOptions, thetas: Seque
     return np.nan_to_num(median_of_seen(error), nan=np.inf)
 
 
-@dataclass(frozen=True)
-class _Linear:
-    """A set of stills near some p: residuals (D, V, 3) and slopes (D, P, V, 3) times the root of their ``weight``, of the rods
-    that are ``used`` (D,); error (D,) mm."""
-
-    stills: Stills
-    weight: float
-    residual: np.ndarray
-    slopes: np.ndarray
-    used: np.ndarray
-    error: np.ndarray
-
-
 class _Fit:
     """Levenberg–Marquardt over the recordings of one horizon, and all stills."""
 
@@ -253,21 +246,11 @@ class _Fit:
         """mm², of a coordinate of the recordings; squared median-based deviation, which glitches do not change."""
         return float((1.4826 * np.median(np.abs(residual[used]))) ** 2) if used.any() else 1.0
 
-    def linearised_stills(self, p, variance: float) -> list[_Linear]:
+    def linearised_stills(self, p, variance: float) -> list[LinearStills]:
         """The stills near p, weighted against recordings of that ``variance``."""
-        theta, found = self.unknowns.theta(p), []
-        for stills in self.stills:
-            solution = stills.rested(theta)
-            apart, used = stills.residuals(solution)
-            weight = variance / stills.variance(apart, used)
-            seen = stills.observations.valid
-            error = np.where(used, np.linalg.norm(apart, axis=-1).sum(axis=1) / seen.sum(axis=1), np.nan)
-            root = np.sqrt(weight)
-            slopes = root * stills.slopes(theta, solution, self.unknowns)
-            found.append(_Linear(stills, weight, root * apart, slopes, used, error))
-        return found
+        return [stills.linearised(self.unknowns.theta(p), self.unknowns, variance) for stills in self.stills]
 
-    def still_cost(self, p, linear: list[_Linear]) -> float:
+    def still_cost(self, p, linear: list[LinearStills]) -> float:
         """Σ ρ of the stills that ``linear`` uses, at another p; infinite where one of them fails."""
         theta, total = self.unknowns.theta(p), 0.0
         for part in linear:
@@ -302,13 +285,13 @@ class _Fit:
             gradients[r] = (j * w) @ residual[r].ravel()
         return a, gradients
 
-    def joint_normal(self, residual, slopes, used, still: list[_Linear]):
+    def joint_normal(self, residual, slopes, used, still: list[LinearStills]):
         """The same of recordings and stills together, without those that are not used."""
         parts = [self.normal(residual, slopes, used), *(self.normal(one.residual, one.slopes, one.used) for one in still)]
         chosen = np.concatenate([used, *(one.used for one in still)])
         return tuple(np.concatenate(arrays)[chosen] for arrays in zip(*parts, strict=True))
 
-    def covariance(self, residual, slopes, used, still: list[_Linear]) -> np.ndarray:
+    def covariance(self, residual, slopes, used, still: list[LinearStills]) -> np.ndarray:
         """(P, P) of p: of the values it takes, to first order, where one recording or still is left out after the other (the
         jackknife), whose errors are as one each."""
         a, gradients = self.joint_normal(residual, slopes, used, still)
@@ -317,6 +300,20 @@ class _Fit:
             return np.full(a.shape[1:], np.inf)
         changes = np.stack([np.linalg.pinv(a.sum(axis=0) - own) @ g for own, g in zip(a, gradients, strict=True)])
         return changes.T @ changes * ((number - 1) / number)
+
+    def best_rate(self, p, residual, slopes, used) -> tuple[float, float]:
+        """``rate`` and ``rate_gain`` of :class:`Identified`: a step of Gauss and Newton in ln of the rate and in p at once."""
+        fast, slow = (_Fit(replace(self.motion, rate=self.motion.rate * (1 + step)), self.unknowns, self.options)
+                      .residuals([p])[0][:, 0] for step in (LONG_STEP, -LONG_STEP))
+        by_rate = (fast - slow) / (2 * LONG_STEP)
+        used = used & np.isfinite(by_rate).all(axis=(1, 2, 3))
+        a, gradient = (part.sum(axis=0) for part in self.normal(residual, np.append(slopes, by_rate[:, None], axis=1), used))
+        own = a[-1, -1] - a[-1, :-1] @ np.linalg.pinv(a[:-1, :-1]) @ a[:-1, -1]
+        weighted = residual[used] ** 2 / np.sqrt(1.0 + (residual[used] / self.options.delta) ** 2)
+        change = -gradient[-1] / own if own > 0 else 0.0
+        if not 0 < abs(change) < FARTHEST:  # nothing moves, or something else is wrong
+            return self.motion.rate, 0.0
+        return self.motion.rate * float(np.exp(change)), float(gradient[-1] ** 2 / own / weighted.sum())
 
     def minimise(self, p, report) -> tuple[np.ndarray, float, int]:
         """(p, cost, iterations) of the minimum."""

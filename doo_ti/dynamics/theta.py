@@ -270,12 +270,34 @@ class Stills:
             result[:, -2 * modes :] = unknowns.CURVATURE * np.moveaxis(found[..., 2:], -1, 1)
         return np.where(self.observations.valid[:, None, :, None], result, 0.0)
 
+    def linearised(self, theta: MotionTheta, unknowns: Unknowns, variance: float) -> "LinearStills":
+        """The stills near Θ, weighted against recordings of that ``variance``, mm²."""
+        solution = self.rested(theta)
+        apart, used = self.residuals(solution)
+        weight = variance / self.variance(apart, used)
+        root = np.sqrt(weight)
+        error = np.where(used, np.linalg.norm(apart, axis=-1).sum(axis=1) / self.observations.valid.sum(axis=1), np.nan)
+        return LinearStills(self, weight, root * apart, root * self.slopes(theta, solution, unknowns), used, error)
+
     def variance(self, apart: np.ndarray, used: np.ndarray) -> float:
         """mm², of the noise of a coordinate: as the observations state it, else as the residuals ``apart`` have it."""
         if self.observations.sigma is not None:
             return float(np.mean(np.square(self.observations.sigma)))
         seen = apart[used][self.observations.valid[used]]
         return max(float(np.mean(seen**2)), 1e-12) if len(seen) else np.inf
+
+
+@dataclass(frozen=True)
+class LinearStills:
+    """Stills near some p: residuals (D, V, 3) and slopes (D, P, V, 3) times the root of their ``weight``, of the rods that are
+    ``used`` (D,); error (D,) mm."""
+
+    stills: Stills
+    weight: float
+    residual: np.ndarray
+    slopes: np.ndarray
+    used: np.ndarray
+    error: np.ndarray
 
 
 def _rolled(observations: Observations, reference: np.ndarray) -> np.ndarray:
