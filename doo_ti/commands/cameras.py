@@ -6,9 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from doo_ti.commands import image_options
-from doo_ti.commands import options as given
-from doo_ti.commands.results import refuse_overwriting, report, shortened, status_text
+from doo_ti.commands import given, image_options, results
 from doo_ti.io.observation_files import save_observations
 from doo_ti.rod.material import UNITS_IN_MM
 from doo_ti.rod.observations import Observations
@@ -68,7 +66,7 @@ def run_calibrate(options: Namespace) -> int:
     summary = _calibration_summary(views, calibration, options.out)
     summary["orientation"] = image_options.orientation_note(views.images.values(), turned)
     _doubt_calibration(views, calibration)
-    report(options, summary, lambda: _calibration_lines(views, calibration, summary))
+    results.report(options, summary, lambda: _calibration_lines(views, calibration, summary))
     return 0
 
 
@@ -165,7 +163,7 @@ def _calibration_lines(views: Views, calibration: Calibration, summary: dict) ->
 def run_triangulate(options: Namespace) -> int:
     """Triangulate all marks; writes observations and names the labels that contradict the others."""
     chosen = TriangulationOptions(options.sigma_px, options.threshold)
-    refuse_overwriting(options.out, options.marks)
+    results.refuse_overwriting(options.out, options.marks)
     rig = image_options.rig(options)
     if len(rig.cameras) < 2:
         raise InputError(options.rig, "cameras", "one camera", "triangulation needs two or more")
@@ -180,7 +178,7 @@ def run_triangulate(options: Namespace) -> int:
     observations, filled = observe(marks, points, options.rest_length, **up, name=options.out.stem, **labels)
     save_observations(options.out, observations)
     summary = _marks_summary(marks, rig, points, observations, filled, chosen, options.out)
-    report(options, summary, lambda: _marks_lines(marks, summary))
+    results.report(options, summary, lambda: _marks_lines(marks, summary))
     return 0
 
 
@@ -245,12 +243,13 @@ def _marks_lines(marks: Marks, summary: dict) -> list[str]:
     count, vertices = summary["observations"], summary["vertices"]
     rms = ", ".join(f"{name} {value:.2f}" for name, value in summary["rms_px"].items())
     lines = [f"{counted(count, 'observation')} of {vertices} vertices{', a ribbon' * marks.is_ribbon}",
-             f"  marks       {status_text(summary['marks'])}; {summary['valid_vertices']} of {count * vertices} vertices valid",
+             f"  marks       {results.status_text(summary['marks'])}; {summary['valid_vertices']} of {count * vertices} "
+             "vertices valid",
              f"  residual    {rms} px (rms)",
              f"  labels      their scatter is {summary['label_sigma_px']:.2g} px, {summary['sigma_px']:.2g} px were assumed",
              f"  sigma       median {summary['median_sigma_mm']:.3g} mm"]
     for kind, label, verdict in (("outliers", "outlier", ", left out"), ("contradictory", "contradictory", "")):
-        lines += shortened([
+        lines += results.shortened([
             f"  {label:<11} observation {entry['observation']}, mark {entry['mark']}, {entry['camera']}: "
             f"{entry['residual_px']:.1f} px off{verdict}" for entry in summary[kind]], MOST_LISTED,
             f"  {label:<11} and {{}} more, which --json lists")

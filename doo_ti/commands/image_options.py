@@ -11,8 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from doo_ti.commands import doubts, loading
-from doo_ti.commands import options as given
+from doo_ti.commands import doubts, given, loading
 from doo_ti.commands.loading import MOST_EDGES, read_rest_length
 from doo_ti.contact.surroundings import Surroundings
 from doo_ti.io.observation_files import load_observations

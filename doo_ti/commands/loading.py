@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from doo_ti.commands import options as given
+from doo_ti.commands import given
 from doo_ti.dynamics.recorded import RecordedMotion
 from doo_ti.io.arrays import checked_arrays, decoded, read_npz
 from doo_ti.io.observation_files import load_observations

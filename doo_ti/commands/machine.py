@@ -13,8 +13,7 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from doo_ti.commands import options as given
-from doo_ti.commands.results import report, save_json
+from doo_ti.commands import given, results
 from doo_ti.system.arguments import counted
 from doo_ti.system.errors import InputError
 from doo_ti.system.files import write_text
@@ -43,8 +42,8 @@ def run_bench(options: Namespace) -> int:
 
     summary = benchmark(options.rods, options.rounds, options.threads)
     if options.out is not None:
-        save_json(options.out / "bench.json", summary)
-    report(options, summary, lambda: [text(summary)])
+        results.save_json(options.out / "bench.json", summary)
+    results.report(options, summary, lambda: [text(summary)])
     return 0
 
 
@@ -164,7 +163,7 @@ def run_warm(options: Namespace) -> int:
             threads.shutdown(wait=False, cancel_futures=True)
             for process in processes:
                 ended(process)
-    report(options, {"seconds": seconds, "failed": failed}, lambda: [
+    results.report(options, {"seconds": seconds, "failed": failed}, lambda: [
         f"  {name:<11} {taken:.1f} s{f', FAILED: {in_line(failed[name])}' if name in failed else ''}"
         for name, taken in seconds.items()])
     return 1 if failed else 0

@@ -8,9 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from doo_ti.commands import doubts, loading
-from doo_ti.commands import options as given
-from doo_ti.commands.results import refuse_overwriting
+from doo_ti.commands import doubts, given, loading, results
 from doo_ti.contact.surroundings import Surroundings
 from doo_ti.dynamics.parameters import Dynamics, Stepping
 from doo_ti.io.motion_file import TOOL_AXES, ClampPath, load_path
@@ -106,7 +104,7 @@ def held_rods(options: Namespace, out: Path, kinds: tuple[Clamp | None, Clamp | 
         options.friction_note = f"; its friction of {theta.friction:.3g} is {use}"
         surroundings = surroundings.rubbing(theta.friction)
     observations = loading.load(options, options.source)
-    refuse_overwriting(out, options.source, options.motion)
+    results.refuse_overwriting(out, options.source, options.motion)
     path = _path(options, observations.up)
     if not (path.tangents_only or options.relative):  # rods are held by the frames of the path's first moment, without own ones
         frames = {name: np.broadcast_to(value[0], (observations.count, 3, 3)) for name, value in

@@ -6,10 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
-from doo_ti.commands import doubts, image_options, loading
-from doo_ti.commands import options as given
+from doo_ti.commands import doubts, given, image_options, loading, results
 from doo_ti.commands.image_options import GUESSED_BEND, MOST_HYPOTHESES, RECORDED, PerceptionTask, perception_task
-from doo_ti.commands.results import refuse_overwriting, report, save_arrays, shortened, status_text
 from doo_ti.learning.landscape import status_counts
 from doo_ti.perception.growth import GrowthSteps
 from doo_ti.report.figures import MOST_SETS, SeenRod, reprojections_picture
@@ -64,7 +62,7 @@ def run(options: Namespace) -> int:
     sources = [options.rig, options.sets, options.truth, *(path for line in task.sets.paths for path in line)]
     beside = [suffix for suffix, left_out in ((".png", options.no_picture), (".rrd", options.no_recording)) if not left_out]
     for path in (out, *(given.output_file("--out", out.with_suffix(suffix), (suffix,)) for suffix in beside)):
-        refuse_overwriting(path, *sources)
+        results.refuse_overwriting(path, *sources)
     with progress() as bar:
         detected, failed = _detected(task, bar)
         begun, rows, length_range, seed_sigma = _begun(task, detected, failed)
@@ -74,10 +72,10 @@ def run(options: Namespace) -> int:
     doubts.warn_of_axes(options, task.sets.rig)
     image_options.warn_of_rig(options, begun.sets, begun.rest_length.sum(), found.verdict, detected)
     task, every = replace(task, rest_length=begun.rest_length), found.among(rows, task.sets.count)
-    save_arrays(out, _arrays(task, every))
+    results.save_arrays(out, _arrays(task, every))
     written = [out, *_shown(options, begun, detected, found, growth, out)]
     summary = _summary(task, detected, every, failed, written)
-    report(options, summary, lambda: _lines(summary))
+    results.report(options, summary, lambda: _lines(summary))
     return 0 if summary["found"] else 1
 
 
@@ -295,13 +293,13 @@ def _lines(summary: dict) -> list[str]:
     sets = summary["sets"]
     width = max(len(entry["name"]) for entry in sets[:MOST_LISTED])
     guess = summary["guessed_bend_mm3"]
+    listed = [f"  {entry['name']:<{width}}  {_set_text(entry, summary['cameras'])}" for entry in sets]
     return [
         f"{counted(len(sets), 'set')} of {len(summary['cameras'])} images, rods of {summary['edges']} edges, "
         f"{sets[0]['length_mm']:.4g} mm long; thread {summary['detected_width_px']:.1f} px wide",
-        *shortened([f"  {entry['name']:<{width}}  {_set_text(entry, summary['cameras'])}" for entry in sets], MOST_LISTED,
-                   "  and {} more, which --json lists"),
-        f"  status      {status_text(summary['status'])}; {summary['stable']} certified stable",
-        f"  verdicts    {status_text(summary['verdicts'])} (docs/commands/perceive.md)",
+        *results.shortened(listed, MOST_LISTED, "  and {} more, which --json lists"),
+        f"  status      {results.status_text(summary['status'])}; {summary['stable']} certified stable",
+        f"  verdicts    {results.status_text(summary['verdicts'])} (docs/commands/perceive.md)",
         *([] if len(summary["cameras"]) > 1 else
           ["  one camera  depth is not determined by it: only by the rod's length and stiffness"]),
         *([] if guess is None else [f"  stiffness   none given: bend {guess:g} mm³ (docs/commands/perceive.md)"]),

@@ -7,8 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from doo_ti.commands import doubts, loading, results
-from doo_ti.commands import options as given
+from doo_ti.commands import doubts, given, loading, results
 from doo_ti.commands.moving_rods import OF_MOTIONS, HeldRods, add_motion, check_reach, held_rods, warn_of, warn_of_start
 from doo_ti.dynamics.parameters import LEAST_WAY, Dynamics, Stepping
 from doo_ti.io.scene import PRECISIONS

@@ -9,10 +9,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from doo_ti.commands import doubts, loading
-from doo_ti.commands import options as given
+from doo_ti.commands import doubts, given, loading, results
 from doo_ti.commands.refine_text import summary_lines, summary_of
-from doo_ti.commands.results import note_theta, plain, save_json
 from doo_ti.io.arrays import read_npz
 from doo_ti.learning.chunks import DENSITY, read_summary
 from doo_ti.learning.landscape import Landscape, plane_of, read_landscape
@@ -140,12 +138,12 @@ def run(options: Namespace) -> int:
             print("\n".join([first, loading.rod_line(task.observations), *rest, *kept]))
         doubts.say(task.observations.source, loading.up_text(summaries[-1]["other_up"]))
     if out is not None:
-        save_json(out, summaries)
+        results.save_json(out, summaries)
     if options.json:
-        print(json.dumps(plain(summaries)))
+        print(json.dumps(results.plain(summaries)))
     elif out is not None:
         print(f"written to {in_line(out)}")
-    note_theta(options)
+    results.note_theta(options)
     return 0
 
 
@@ -153,7 +151,7 @@ def _kept(landscape, found, summary: dict) -> list[Path]:
     """Write the result into the folder of its run, as --json prints it, and where the grid has two of the learned parameters
     the landscape with their joint 95 % region; returns the files."""
     path, grid, estimate = landscape.run / REFINED, landscape.grid, found.estimate
-    save_json(path, [summary])
+    results.save_json(path, [summary])
     free = [axis.name for axis in grid.axes if len(axis) > 1]
     pair = [{"twist_ratio": "twist"}.get(name, name) for name in free]
     if len(free) != 2 or not set(pair) <= set(estimate.names) or np.isnan(landscape.mean_distance).all():

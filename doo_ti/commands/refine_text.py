@@ -4,8 +4,8 @@ from dataclasses import asdict
 
 import numpy as np
 
+from doo_ti.commands import results
 from doo_ti.commands.loading import up_text
-from doo_ti.commands.results import listed, rows, status_text
 from doo_ti.contact.obstacle_file import described
 from doo_ti.contact.surroundings import Surroundings
 from doo_ti.rod.material import relative_stiffness, stiffness
@@ -175,7 +175,7 @@ def _curved(summary: dict) -> bool:
 
 
 def _rows(*entries: tuple[str, str | object]) -> list[str]:
-    return rows(*entries, width=19)
+    return results.rows(*entries, width=19)
 
 
 def interval_text(value: float, low: float | None, high: float | None, unit: str) -> str:
@@ -226,9 +226,9 @@ def _adequacy_lines(summary: dict) -> list[str]:
 
 def _rods_lines(summary: dict) -> list[str]:
     """The observations that were left out, those that do not fit, and those that a result rests on."""
-    misfits = listed(summary["misfits"], LISTED)
+    misfits = results.listed(summary["misfits"], LISTED)
     return _rows(
-        ("left out", status_text(summary["left_out"])),
+        ("left out", results.status_text(summary["left_out"])),
         ("misfits", misfits and f"observations far from every equilibrium that was tried: {misfits}"),
         *(("mislabelled", f"observation {one['observation']}: {one['why']}") for one in summary["mislabelled"]),
         *(("sensitive", f"without observation {one['observation']} {one['parameter']} would be {one['factor']:.3g} times as "

@@ -5,10 +5,8 @@ from pathlib import Path
 
 import numpy as np
 
-from doo_ti.commands import doubts, loading, results
-from doo_ti.commands import options as given
+from doo_ti.commands import doubts, given, loading, results
 from doo_ti.commands.moving_rods import with_rest_curvature
-from doo_ti.commands.results import refuse_overwriting
 from doo_ti.learning.landscape import status_counts
 from doo_ti.rod.frames import total_twist
 from doo_ti.rod.grid import Grid
@@ -40,7 +38,7 @@ def run_relax(options: Namespace) -> int:
     observations = loading.load(options, options.observations)
     clamps = observation_clamps(observations, *given.clamps(options))
     check_experiment(observations, clamps, grid.axes[-1].values[-1], frame_weight)
-    refuse_overwriting(out, options.observations)
+    results.refuse_overwriting(out, options.observations)
     doubts.warn(observations, surroundings, **loading.stated(options))
 
     from doo_ti.learning.experiment import SOLVERS

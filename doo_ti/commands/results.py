@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from doo_ti.commands import options as given
+from doo_ti.commands import given
 from doo_ti.contact.surroundings import Surroundings
 from doo_ti.io.observation_tables import write_rod_table
 from doo_ti.rod.grid import Grid, Interval

@@ -8,8 +8,7 @@ from pathlib import Path
 from shutil import get_terminal_size
 from tempfile import TemporaryDirectory
 
-from doo_ti.commands import options as given
-from doo_ti.commands.results import plain, report, run_lines, save_json, theta_of, theta_text
+from doo_ti.commands import given, results
 from doo_ti.learning.cross_validation import FACTORS, check_comparable, cross_validate, partition, usual_factors
 from doo_ti.learning.landscape import Landscape, read_landscape
 from doo_ti.learning.score_table import caption, comma_separated, entries, file_stem, markdown, text
@@ -69,24 +68,24 @@ def run_learn(options: Namespace) -> int:
     with busy("cross-validating"):
         tables = {by: [cross_validate(one) for one in found] for by, found in partitions.items()}
     every = [scores for found in tables.values() for scores in found]
-    summary = plain({"runs": [_best_of(landscape) for landscape in landscapes],
+    summary = results.plain({"runs": [_best_of(landscape) for landscape in landscapes],
                      "tables": [{
                          "caption": caption(scores), "by": scores.partition.by, "within": scores.partition.within,
                          "unlabelled": scores.partition.unlabelled, "training_error_mm": dict(zip(
                              (part.label for part in scores.partition.parts), scores.training, strict=True)),
                          "entries": entries(scores)} for scores in every]})
     if out is not None:
-        save_json(out / "learn.json", summary)
+        results.save_json(out / "learn.json", summary)
         for by, found in tables.items():
             write_text(out / f"{file_stem(by)}.csv", comma_separated(found))
             write_text(out / f"{file_stem(by)}.md", "\n".join(markdown(scores) for scores in found))
 
     def lines() -> list[str]:
-        found = [line for landscape in landscapes for line in run_lines(landscape.as_dict())]
+        found = [line for landscape in landscapes for line in results.run_lines(landscape.as_dict())]
         found += [f"\n{text(scores, get_terminal_size((120, 24)).columns)}" for scores in every]
         return found if out is None else [*found, f"\nwritten to {in_line(out)}"]
 
-    report(options, summary, lines)
+    results.report(options, summary, lines)
     return 0
 
 
@@ -126,8 +125,8 @@ def run_figures(options: Namespace) -> int:
         return found + [f"  written     {in_line(file['path'])} ({file['bytes'] / 1e6:.1f} MB, {file['seconds']:.1f} s)"
                         for file in files]
 
-    report(options, {"runs": names, "cells": cells, "recorded_cells": recorded, "recorded_values": study.recorded_values,
-                     "files": files}, lines)
+    results.report(options, {"runs": names, "cells": cells, "recorded_cells": recorded,
+                             "recorded_values": study.recorded_values, "files": files}, lines)
     return 0
 
 
@@ -185,7 +184,7 @@ def _draw_unfinished(run: Path, folder: Path) -> None:
         found = read_unfinished(run)
     landscape = found.landscape
     print(f"{in_line(landscape.name)}: {found.done} stored, the last of them {found.age:,.0f} s ago")
-    print(f"  best so far {theta_text(theta_of(landscape.grid, landscape.best), landscape.grid.is_isotropic)}")
+    print(f"  best so far {results.theta_text(results.theta_of(landscape.grid, landscape.best), landscape.grid.is_isotropic)}")
     print(f"  distance    mean {landscape.mean_distance[landscape.best]:.4g} mm (Eq. 1)")
     with busy("drawing"):
         found.draw(folder)

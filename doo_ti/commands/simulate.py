@@ -6,8 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from doo_ti.commands import doubts, loading, results
-from doo_ti.commands import options as given
+from doo_ti.commands import doubts, given, loading, results
 from doo_ti.commands.moving_rods import (
     LOSSES,
     OF_MOTIONS,
@@ -17,7 +16,6 @@ from doo_ti.commands.moving_rods import (
     require_length,
     simulated_rods,
 )
-from doo_ti.commands.results import refuse_overwriting
 from doo_ti.contact.surroundings import Surroundings
 from doo_ti.contact.touch import Touch
 from doo_ti.dynamics.parameters import Stepping
@@ -136,7 +134,7 @@ def _recorded(options: Namespace, out: Path, changes: dict, up: np.ndarray) -> _
                  "leave it out, or give observations with --motion")
     theta, surroundings = given.theta(options), given.surroundings(options)
     motion, = loading.recordings(options, [options.source])
-    refuse_overwriting(out, options.source)
+    results.refuse_overwriting(out, options.source)
     if motion.edges != len(theta.rest_length):
         raise InputError(options.theta, "rest_length_mm", f"{len(theta.rest_length)} edges, {in_line(options.source)} has "
                          f"{motion.edges}", "give the theta of this rod")

@@ -11,10 +11,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from doo_ti.commands import doubts, image_options, loading
-from doo_ti.commands import options as given
+from doo_ti.commands import doubts, given, image_options, loading, results
 from doo_ti.commands.moving_rods import settled, with_rest_curvature
-from doo_ti.commands.results import refuse_overwriting, report
 from doo_ti.contact.surroundings import Surroundings
 from doo_ti.io.motion_file import ClampPath, path_table
 from doo_ti.report.motions import servo_picture
@@ -88,7 +86,7 @@ def run_steer(options: Namespace) -> int:
     summary = {"reached": path.reached, "distance_mm": path.distance, "mesh_error_mm": path.mesh_error,
                "clamp_error_mm": path.clamp_error,
                "moments": path.moments, "seconds": path.time[-1], "out": str(out)}
-    report(options, summary, lambda: [
+    results.report(options, summary, lambda: [
         f"{rod.observations.name}: target {'reached' if path.reached else 'not reached'}, {path.distance:.3g} mm from it "
         "(root mean square)", f"  path        {path.moments} moments, certified stable, without a jump",
         f"  mesh error  {path.mesh_error:.2g} mm: about how far a rod of many edges ends from that",
@@ -147,7 +145,7 @@ def steered_rod(options: Namespace, written: Iterable[Path]) -> SteeredRod:
     grid = given.round_cell(options, "steered")
     observations = loading.load(options, options.start).take(np.zeros(1, dtype=np.int64))
     for out in written:
-        refuse_overwriting(out, options.start, options.target)
+        results.refuse_overwriting(out, options.start, options.target)
     places = loading.target(options, observations)
     clamps = observation_clamps(observations, *given.clamps(options))
     for end, kind in (("start", clamps.start), ("end", clamps.end)):
@@ -246,7 +244,7 @@ def run_servo(options: Namespace) -> int:
     if not summary["reached"]:
         warn(f"{in_line(options.target)}: the target is not reached; the rod is {summary['distance_mm']:.3g} mm from it, "
              f"{summary['status']}")
-    report(options, summary, lambda: _lines(rod, steps, summary))
+    results.report(options, summary, lambda: _lines(rod, steps, summary))
     return 0
 
 

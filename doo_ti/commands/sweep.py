@@ -9,9 +9,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from doo_ti.commands import doubts, loading
-from doo_ti.commands import options as given
-from doo_ti.commands.results import hypotheses_lines, note_theta, plain, rows, run_lines, theta_text
+from doo_ti.commands import doubts, given, loading, results
 from doo_ti.io.scene import MOST_ROLLS, OBJECTIVES, Scene, Synthesis, load_scene
 from doo_ti.io.toml_file import scene_file
 from doo_ti.learning.chunks import SUMMARY
@@ -95,13 +93,13 @@ def run_sweep(options: Namespace) -> int:
             print("\n".join(_lines(search, summary, finished_before)))
         doubts.say(search.observations.source, loading.up_text(summary.get("other_up")))
     if options.json:
-        print(json.dumps(plain(summaries if len(options.sources) > 1 else summaries[0])))
+        print(json.dumps(results.plain(summaries if len(options.sources) > 1 else summaries[0])))
     else:
         rods, loads, relaxes = (sum(summary["timing"][name] for summary in relaxed)
                                 for name in ("relaxed_rods", "loading_s", "relaxation_s"))
         work = f": {loads:.1f} s to load the kernels, {relaxes:.1f} s to relax ({rods / relaxes:,.0f} rods/s)" if rods else ""
         print(f"{rods:,} rods in {time.monotonic() - began:.1f} s{work}")
-    note_theta(options)
+    results.note_theta(options)
     return 0
 
 
@@ -148,7 +146,7 @@ def _search(options: Namespace, source: str, run: Path) -> _Search:
 
 
 def _lines(search: _Search, summary: dict, finished_before: bool) -> list[str]:
-    (first, *rest), best, grid, spins = run_lines(summary), summary["best"], search.grid, search.options.spins
+    (first, *rest), best, grid, spins = results.run_lines(summary), summary["best"], search.grid, search.options.spins
     clamps = observation_clamps(search.observations, search.options.clamp_start, search.options.clamp_end)
     rolls = grid.is_isotropic and Clamp.FRAME > min(clamps.start, clamps.end) and not spins
     names = {"EI": "bend_1"} if grid.is_isotropic else {"EI_1": "bend_1", "EI_2": "bend_2"}
@@ -158,8 +156,9 @@ def _lines(search: _Search, summary: dict, finished_before: bool) -> list[str]:
     varied = {axis.name for axis in grid.axes if len(axis) > 1}
     ratios = "weight" in varied and len(varied) > 1 and not any(axis.name == "twist" and len(axis) == 1 for axis in grid.axes)
     lines = [
-        first, loading.rod_line(search.observations), *rows(("WARNING", loading.up_text(summary.get("other_up")))), *rest,
-        *hypotheses_lines(summary, search.observations.labels), *rows(
+        first, loading.rod_line(search.observations),
+        *results.rows(("WARNING", loading.up_text(summary.get("other_up")))), *rest,
+        *results.hypotheses_lines(summary, search.observations.labels), *results.rows(
             ("stiffness", physical and f"{physical} in the best cell"),
             ("note", spins and f"rolls are tried in steps of {360 / spins:.3g}°: coarse steps narrow the range of the twist "
                                "ratio, fine ones leave it open"),
@@ -169,7 +168,7 @@ def _lines(search: _Search, summary: dict, finished_before: bool) -> list[str]:
     if isinstance(search.scene.observations, Synthesis):
         recipe, material = search.scene.observations, search.scene.observations.material()
         (first_bend, mixed), (_, second) = material.bend[0, 0]
-        true = theta_text({"bend_1": first_bend, "bend_2": second, "bend_12": mixed, "twist": material.twist[0, 0],
+        true = results.theta_text({"bend_1": first_bend, "bend_2": second, "bend_12": mixed, "twist": material.twist[0, 0],
                            "weight": material.weight[0]}, material.is_isotropic)
         lines.append(f"  true Θ      {true} (the virtual lab's, seed {recipe.seed})")
     lines.append(f"  {'finished before in' if finished_before else 'written to'} {in_line(search.run)}")

@@ -6,9 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from doo_ti.commands import doubts, loading
-from doo_ti.commands import options as given
-from doo_ti.commands.results import refuse_overwriting, save_arrays
+from doo_ti.commands import doubts, given, loading, results
 from doo_ti.io.observation_files import read_recording, save_observations
 from doo_ti.io.scene import Scene, Synthesis, load_scene
 from doo_ti.io.toml_file import scene_file
@@ -54,7 +52,7 @@ def declare(add) -> None:
 def run_convert(options: Namespace) -> int:
     """Observations from one format to another; keys that observations do not have are dropped."""
     out, edges = options.out, options.edges
-    refuse_overwriting(out, options.observations, option="OUT")
+    results.refuse_overwriting(out, options.observations, option="OUT")
     if options.motion:
         given.refuse(options, ("edges", "complete", "rest_length"), "given with --motion", "leave one out")
         return _convert_motion(options, out)
@@ -93,7 +91,7 @@ def _convert_motion(options: Namespace, out: Path) -> int:
         raise InputError(source, "positions_mm", "none is left", "select others")
     rate = found.rate / (frames.step or 1)
     names = {} if found.names is None else {"recording": np.array(found.names)}
-    save_arrays(out, {"positions_mm": positions, "rate_hz": np.float64(rate), "up": up} | names)
+    results.save_arrays(out, {"positions_mm": positions, "rate_hz": np.float64(rate), "up": up} | names)
     gaps = int((~np.isfinite(positions)).any(axis=-1).sum())
     several = f"{counted(len(positions), 'recording')} of " if positions.ndim == 4 else ""
     print(f"{several}{positions.shape[-3]} frames of {positions.shape[-2]} markers at {rate:g}/s, {gaps} positions missing, "
@@ -146,7 +144,7 @@ def _photograph(options: Namespace, scene: Scene) -> None:
     folder, look, seed = options.images, _look(options.render or []), options.seed or 0
     if options.rig is None:
         raise InputError(given.SOURCE, "--rig", "missing", "name the cameras' file, such as scenes/rig.yaml")
-    refuse_overwriting(folder / RIG_FILE, options.rig, option="--images")
+    results.refuse_overwriting(folder / RIG_FILE, options.rig, option="--images")
     rig, diameter = load_rig(options.rig), options.diameter or DIAMETER_MM
     if not isinstance(scene.observations, Synthesis):
         raise InputError(scene.source, "observations", "a file, which does not say how the rods lie between their marks",

@@ -9,10 +9,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from doo_ti.commands import doubts, image_options
-from doo_ti.commands import options as given
+from doo_ti.commands import doubts, given, image_options, results
 from doo_ti.commands.perceive import LEAST_SIGMA_MM, sigma_with_length
-from doo_ti.commands.results import listed, refuse_overwriting, report, rows, save_arrays
 from doo_ti.io.arrays import read_csv
 from doo_ti.io.motion_file import load_path
 from doo_ti.rod.types import Clamp, Clamps
@@ -54,13 +52,13 @@ def declare(add) -> None:
 
 def run(options: Namespace) -> int:
     out = options.out
-    refuse_overwriting(out, options.frames, options.motion, options.rest_length)
+    results.refuse_overwriting(out, options.frames, options.motion, options.rest_length)
     task = tracking_task(options)
     rest_length, length_range, found, problem = _tracked(options, task)
     doubts.warn_of_axes(options, task.sets.rig)
     image_options.warn_of_length(options, rest_length.sum())
     result = _arrays(task, rest_length, length_range, found)
-    save_arrays(out, result)
+    results.save_arrays(out, result)
     if problem is not None:
         raise InterruptedRunError(f"{problem}; {len(found)} of {task.sets.count} frames are kept in {out}; the same command "
                                   "starts from the first frame; or track the other frames as a video of their own, with the "
@@ -73,7 +71,7 @@ def run(options: Namespace) -> int:
         record_track(written[-1], run_id=f"track {out.name}", name=out.stem, rig=task.sets.rig, paths=task.sets.paths,
                      vertices=result["vertices_mm"], error=result["camera_error_px"], how=result["how"], up=task.up)
     summary = _summary(task, found, result, written)
-    report(options, summary, lambda: _lines(summary))
+    results.report(options, summary, lambda: _lines(summary))
     return 0 if np.isfinite(result["energy_vis"]).any() else 1
 
 
@@ -276,7 +274,7 @@ def _lines(summary: dict) -> list[str]:
 
     def frames(names: np.ndarray, words: str, every: bool = False) -> str:
         """How many frames, and their ``names``, or "all" where they are ``every`` frame of the video."""
-        named = f": {'all' if every else listed(names, MOST_LISTED)}" * bool(len(names))
+        named = f": {'all' if every else results.listed(names, MOST_LISTED)}" * bool(len(names))
         return f"{counted(len(names), 'frame')} {words}{named}"
 
     verdicts, reasons, uncertain, off = (summary[name] for name in ("verdicts", "doubts", "uncertain", "camera_error_px"))
@@ -285,7 +283,7 @@ def _lines(summary: dict) -> list[str]:
         f"{summary['frames']} frames of {len(summary['cameras'])} images, a rod of {summary['edges']} edges, "
         f"{summary['length_mm']:.4g} mm long" + ", found in the first frame, {:.4g} to {:.4g} mm".format(
             *summary["length_range_mm"]) * bool(np.isfinite(summary["length_range_mm"]).all()),
-        *rows(
+        *results.rows(
             ("tracked", f"{len(summary['tracked'])} frames, each from the one before or after"),
             ("seeded", frames(summary["seeded"], "by Algorithm 1")),
             ("lost", frames(summary["lost"], "in which the rod is lost")),

@@ -6,10 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
-from doo_ti.commands import doubts, loading, results
-from doo_ti.commands import options as given
+from doo_ti.commands import doubts, given, loading, results
 from doo_ti.commands.moving_rods import with_rest_curvature
-from doo_ti.commands.results import refuse_overwriting
 from doo_ti.io.observation_tables import write_columns
 from doo_ti.io.scene import PRECISIONS
 from doo_ti.report.figures import MOST_CURVES, angle_curves_picture
@@ -46,7 +44,7 @@ def run_twist(options: Namespace) -> int:
     grid = given.single_cell(options)
     out = options.out
     observations = loading.load(options, options.observations)
-    refuse_overwriting(out, options.observations)
+    results.refuse_overwriting(out, options.observations)
 
     from doo_ti.perception.twist import TwistOptions, estimate_twist
     from doo_ti.perception.twist_curves import consecutive_groups, end_offsets, load_offsets

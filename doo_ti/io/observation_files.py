@@ -1,12 +1,6 @@
 """Observations in files (docs/observations.md): read in any format, by suffix and, of CSV files, by their first lines; written
 as arrays or tables.
 
-    .npz                 keys of observations
-    .csv, .parquet       a row for each vertex; .csv also motion capture and plain polylines
-    .txt, .xyz           plain polylines
-    .xml                 cables of MuJoCo models
-    .usd, .usda, .usdc   curves of USD scenes
-
 Recordings of rods in motion, as ``identify`` and ``simulate`` take them, are in the same files, of which motion capture states
 its rate; their .npz has positions_mm (R, T, V, 3) or (T, V, 3), rate_hz, and optionally recording (R,) names and up (3,).
 

@@ -1,18 +1,10 @@
-"""Tables of rods, CSV or Parquet, a row per vertex: of observations, to and from the keys of the npz format without loss; and
-of results.
+"""Tables of rods, CSV or Parquet, a row per vertex: of observations, to and from the keys of the npz format without loss
+(docs/observations.md); and of results.
 
-    observation                a whole number, or a name in every row
-    vertex                     0 … E, or 1 … V, of each observation at most once, rows in any order
-    x_mm, y_mm, z_mm           the vertex; empty, NaN, or without a row where it is missing
-    valid, sigma_mm            of the vertex
-    rest_length_mm, frame_*    of the edge from this vertex to the next, empty at vertex E
-    end_distance_mm, end_rotation_deg, total_twist_deg, start_frame_*, end_frame_*
-                               of the observation: in one of its rows, the others repeat it or are empty
-    up_x, up_y, up_z           of the file
-
-The nine columns of a frame end in t_x, m1_x, m2_x, t_y, …, m2_z. Only the position is required, and its columns may state
-another unit, x_m or x_cm, or none, x, which is mm; without ``vertex`` rows are in order along the rod, without ``observation``
-there is one. Names are known in any case. Other columns are ignored.
+What belongs to a vertex, to the edge from it to the next, or to the observation, :data:`KEYS_IN_TABLES` says. Cells are empty
+where a mark is missing, and at the last vertex, where no edge begins; what belongs to an observation is in one of its rows, the
+others repeat it or are empty. Vertices count from 0 or 1, rows are in any order; without ``vertex`` they are in order along the
+rod, without ``observation`` there is one. Names are known in any case. Other columns are ignored.
 
 Tables of results begin with the axes of the rods, such as moment and rod, in place of ``observation``. Values of an edge are at
 the vertex where it begins, those of a rod, or of one of its axes, in all its rows; several numbers are NAME_0, NAME_1, …,
@@ -26,16 +18,7 @@ from typing import BinaryIO
 
 import numpy as np
 
-from doo_ti.io.arrays import (
-    AXES,
-    LENGTH_ENDINGS,
-    check_unpacked,
-    first_line,
-    frame_columns,
-    given_columns,
-    listed,
-    read_csv,
-)
+from doo_ti.io.arrays import AXES, LENGTH_ENDINGS, check_unpacked, first_line, frame_columns, given_columns, listed, read_csv
 from doo_ti.system.errors import InputError
 
 # Key of the npz format: what a value of it belongs to, the shape of the value, the names of its columns.

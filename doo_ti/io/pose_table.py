@@ -1,15 +1,10 @@
-"""Poses of grippers in CSV files, of this package and of robots' logs: one row per moment, to the keys of motion files.
-
-    time_s                               or time, timestamp, t; in other units time_ms, time_us, time_ns
-    start_x_mm, … end_z_mm               positions; also start_x_m, start_x_cm, or start_x, which is mm
-    end_qw, end_qx, end_qy, end_qz       orientation as a quaternion, or
-    end_rx, end_ry, end_rz               as a rotation vector, rad, or
-    end_roll, end_pitch, end_yaw         as turns about the fixed x, then y, then z, rad
-    end_frame_t_x, …, end_rotation_deg   (:mod:`doo_ti.io.motion_file`)
+"""Poses of grippers in CSV files, of this package and of robots' logs: one row per moment, to the keys of motion files
+(docs/motions.md).
 
 Names are known in any case, with points or slashes for underscores, and as logs write them: ``end.pose.position.x``,
-``end/orientation/w``. Columns without ``start`` and ``end`` are those of the end gripper, where none has them. Angles that end
-in ``_deg`` are degrees. Other columns are ignored.
+``end/orientation/w``. The time may be time, timestamp, stamp or t, also in ms, us or ns; roll, pitch and yaw are turns about the
+fixed x, then y, then z. Columns without ``start`` and ``end`` are those of the end gripper, where none has them. Other columns
+are ignored.
 """
 
 import os

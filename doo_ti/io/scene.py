@@ -1,25 +1,5 @@
-"""Scenes: an experiment in one TOML file: its observations, the grid to search, and the options of the search (§V-A).
-
-    name = "silk"                 # the rod's material
-    frame_weight_mm = 0.0         # w_m of Eq. 1
-    clamp_start = "frame"         # position, tangent, frame or free; left out: frame where it is given, else tangent
-    clamp_end = "frame"
-    objective = "static"          # Eq. 2, or "dynamic", Eq. 3
-    pairs = "pairs.csv"           # of Eq. 3, relative to the scene; left out: from the labels, as in the paper
-    roll_hypotheses = 0           # angles to try for a clamp whose roll was not measured; 0: it rolls freely
-    precision = "mixed"           # f32, f64 or mixed
-
-    [observations]                # a file, its path relative to the scene …
-    file = "silk.npz"
-
-    [synthesis]                   # … or the virtual lab: the fields of Synthesis
-    bend = 1.5e5
-    twist = 5e4
-
-    [grid]                        # axes as the command line writes them
-    bend = "5e4:1e7:25"
-    twist_ratio = "0.1:6:25"
-"""
+"""Scenes: an experiment in one TOML file: its observations, the grid to search, and the options of the search (§V-A;
+docs/scenes.md)."""
 
 import hashlib
 import math
