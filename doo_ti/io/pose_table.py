@@ -2,7 +2,7 @@
 (docs/motions.md).
 
 Names are known in any case, with points or slashes for underscores, and as logs write them: ``end.pose.position.x``,
-``end/orientation/w``. The time may be time, timestamp, stamp or t, also in ms, us or ns; roll, pitch and yaw are turns about the
+``end/orientation/w``. The time is time, timestamp, stamp or t, also in ms, us or ns; roll, pitch and yaw are turns about the
 fixed x, then y, then z. Columns without ``start`` and ``end`` are those of the end gripper, where none has them. Other columns
 are ignored.
 """

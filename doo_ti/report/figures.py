@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from doo_ti.report.canvas import MISSING, SYMBOLS, box, label_table, literal, new_figure, save_figure, upright_basis, widest
+from doo_ti.report.canvas import MISSING, SYMBOLS, box, label_table, limits_around, literal, new_figure, save_figure, upright_basis
 from doo_ti.vision.cameras import Rig
 
 BEST, RUNNER_UP, TRUTH, DETECTED = "#2f7bff", "#ff2e4d", "#ffd400", "#00c08b"
@@ -65,11 +65,10 @@ def reprojections_picture(path_or_buffer, rig: Rig, sets: list[SeenRod], *, up, 
         for column, camera in enumerate(rig.cameras):
             axes = figure.add_subplot(grid[row, column])
             _draw_image(axes, camera, seen, column)
+            axes.set_xlabel("u [px]" if row == len(sets) - 1 else "", fontsize=7)
             if column == 0:
                 axes.set_title(f"{literal(seen.name)}: {seen.verdict}", fontsize=9, loc="left")
                 axes.set_ylabel("v [px]", fontsize=7)
-            if row == len(sets) - 1:
-                axes.set_xlabel("u [px]", fontsize=7)
         _draw_space(figure.add_subplot(grid[row, -1], projection="3d"), seen, np.asarray(up, float))
     keys = [Line2D([], [], color=color, linewidth=2, label=name) for name, color in
             (("detected", DETECTED), ("best", BEST), ("runner-up", RUNNER_UP), ("truth", TRUTH))
@@ -106,12 +105,9 @@ def _draw_space(axes, seen: SeenRod, up: np.ndarray) -> None:
     for _, curve, color in seen.rods:
         axes.plot(*(curve @ frame.T).T, color=color, linewidth=WIDTHS[color])
     axes.scatter(*(seen.best[0] @ frame.T), color="#202020", s=10)
-    low, high = box(points)
-    half = 0.5 * np.maximum(high - low, 0.2 * widest(low, high)) * 1.05
-    middle = 0.5 * (low + high)
-    axes.set(xlim=(middle[0] - half[0], middle[0] + half[0]), ylim=(middle[1] - half[1], middle[1] + half[1]),
-             zlim=(middle[2] - half[2], middle[2] + half[2]))
-    axes.set_box_aspect(half, zoom=0.85)
+    limits = limits_around(points, 0.525, 0.105)
+    axes.set(xlim=limits[0], ylim=limits[1], zlim=limits[2])
+    axes.set_box_aspect(np.ptp(limits, axis=1), zoom=0.85)
     axes.view_init(elev=18, azim=-65)
     for axis, label in ((axes.xaxis, "horizontal [mm]"), (axes.yaxis, "depth [mm]"), (axes.zaxis, "height [mm]")):
         axis.set_label_text(label, fontsize=7)
