@@ -80,8 +80,11 @@ def limits_around(points: np.ndarray, half: float, least: float) -> np.ndarray:
     return np.stack([middle - reach, middle + reach], axis=-1)
 
 
-def save_figure(figure, path_or_buffer) -> None:
-    """Write a figure as a PNG, its titles as large as fit; a file appears when it is complete."""
+def save_figure(figure, path_or_buffer, title: str = "", size: float = 10) -> None:
+    """Write a figure, under a ``title`` in letters of that ``size``, as a PNG, its titles as large as fit; a file appears when
+    it is complete."""
+    if title:
+        figure.suptitle(literal(title), fontsize=size)
     fit_titles(figure)
     if isinstance(path_or_buffer, (str, os.PathLike)):
         write_whole(Path(path_or_buffer), figure.canvas.print_png)

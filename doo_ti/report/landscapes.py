@@ -62,13 +62,10 @@ def cells_image(rows: list[list[LandscapePanel]], index: tuple, *, marks: str = 
 def _cell_boxes(axes, plane: LandscapePlane, cells: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
     """(N, 4) left, top, width and height in pixels of the cells a and b (N,), once the figure is laid out. Over one free
     axis a cell is as high as the axes."""
-    edges = [drawing.cell_edges(axis) for axis in plane.axes]
-    low = [edges[0][cells[0]], edges[1][cells[1]] if len(edges) > 1 else np.full(len(cells[0]), axes.get_ylim()[0])]
-    high = [edges[0][cells[0] + 1],
-            edges[1][cells[1] + 1] if len(edges) > 1 else np.full(len(cells[0]), axes.get_ylim()[1])]
-    low, high = (axes.transData.transform(np.stack(corner, axis=-1)) for corner in (low, high))
-    top = axes.figure.bbox.height - high[:, 1]
-    return np.stack([low[:, 0], top, *(high - low).T], axis=-1)
+    edges = [drawing.cell_edges(axis) for axis in plane.axes] + [np.array(axes.get_ylim())] * (len(plane.axes) == 1)
+    low, high = (axes.transData.transform(np.stack([edge[cell + beyond] for edge, cell in zip(edges, cells, strict=True)],
+                                                   axis=-1)) for beyond in (0, 1))
+    return np.stack([low[:, 0], axes.figure.bbox.height - high[:, 1], *(high - low).T], axis=-1)
 
 
 def draw_landscape(plane: LandscapePlane, title: str, region: np.ndarray | None = None, newton_per_bend: float | None = None):
@@ -175,20 +172,13 @@ def _color_bar(figure, mesh, axes, label: str = canvas.MEAN_DISTANCE, size: floa
 
 def _remarks(plane: LandscapePlane) -> list[str]:
     """Lines for the title: axes that are not shown, and a minimum at the border."""
-    lines = []
-    if plane.hidden:
-        lines.append(f"minimum over {', '.join(canvas.SYMBOLS.get(name, name) for name in plane.hidden)}")
-    if plane.at_border:
-        lines.append("minimum at the border of the grid: widen it")
-    return lines
+    hidden = ", ".join(canvas.SYMBOLS.get(name, name) for name in plane.hidden)
+    return [f"minimum over {hidden}"] * bool(hidden) + ["minimum at the border of the grid: widen it"] * plane.at_border
 
 
 def _put_legend(figure, planes: list[LandscapePlane], columns: int, marks: str | None = None,
                 with_region: bool = False) -> None:
-    """The legend below the axes, its entries in rows: matplotlib fills columns first.
-
-    marks  what the panels' marks are, empty where there are none; None: of one landscape, with its numbers
-    """
+    """The legend below the axes, its entries in rows: matplotlib fills columns first. ``marks`` as in :func:`_legend`."""
     keys = _legend(planes, marks, with_region) + _regime_keys(planes)
     if keys:
         rows = [key for column in range(columns) for key in keys[column::columns]]
@@ -197,7 +187,8 @@ def _put_legend(figure, planes: list[LandscapePlane], columns: int, marks: str |
 
 
 def _legend(planes: list[LandscapePlane], marks: str | None, with_region: bool) -> list:
-    """Entries for the minimum, the valley, marks, cells that do not compete or have no value, and the region."""
+    """Entries for the minimum, the valley, marks, cells that do not compete or have no value, and the region. ``marks`` says
+    what the panels' marks are, empty where there are none; None: of one landscape, with its numbers."""
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 

@@ -55,8 +55,7 @@ def chosen(positions: np.ndarray, recorded: np.ndarray | None, most: int) -> np.
     count = len(positions)
     if recorded is None:
         return np.arange(min(count, most))
-    error = np.abs(positions - recorded).mean(axis=(1, 2, 3))
-    order = np.argsort(np.where(np.isfinite(error), error, np.inf), kind="stable")
+    order = np.argsort(np.abs(positions - recorded).mean(axis=(1, 2, 3)), kind="stable")  # NaN comes last
     return order[np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(int))]
 
 
@@ -104,8 +103,7 @@ def save_rollout(path: Path, name: str, names: list[str], positions: np.ndarray,
         _draw_energies(figure.add_subplot(grid[-1, :]), time, first, names[rows[0]])
     last = (positions.shape[1] - 1) / rate
     title = f"{name}: {len(frames)} of {positions.shape[1]} frames from 0 to {last:.3g} s, seen {view}"
-    figure.suptitle(canvas.literal(title) + ("" if touched is None else f"\n{touched.legend_at_end}"), fontsize=8)
-    canvas.save_figure(figure, path)
+    canvas.save_figure(figure, path, title if touched is None else f"{title}\n{touched.legend_at_end}", 8)
 
 
 def _draw_stills(plot, axes: np.ndarray, positions: np.ndarray, recorded: np.ndarray | None) -> None:
@@ -213,8 +211,7 @@ def servo_picture(path_or_buffer, name: str, start: np.ndarray, end: np.ndarray,
     axes.set_title("distance to the target [mm], root mean square", fontsize=9)
     axes.legend(fontsize=8, frameon=False)
     axes.grid(alpha=0.2, which="both")
-    figure.suptitle(canvas.literal(f"{name}: {len(distance)} steps"), fontsize=11)
-    canvas.save_figure(figure, path_or_buffer)
+    canvas.save_figure(figure, path_or_buffer, f"{name}: {len(distance)} steps", 11)
 
 
 MOST_DRAWN, COLUMNS = 12, 4
@@ -300,5 +297,4 @@ def motions_picture(path_or_buffer, rods: MovingRods, *, title: str) -> None:
     more = f" ({len(rods.names) - shown} more are not drawn)" if len(rods.names) > shown else ""
     red = "\nred: before a jump (dashed) and after it" if jumps.any() else ""
     blue = "" if rods.touched is None else f"\n{rods.touched.legend_at_end}"
-    figure.suptitle(f"{canvas.literal(title)}{more}{red}{blue}", fontsize=10)
-    canvas.save_figure(figure, path_or_buffer)
+    canvas.save_figure(figure, path_or_buffer, f"{title}{more}{red}{blue}")

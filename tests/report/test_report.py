@@ -225,7 +225,7 @@ def test_plane_is_upright_along_the_rods(up, rng):
 @pytest.mark.parametrize("up", [(0.0, 0.0, 1.0), (0.0, 1.0, 0.0)])
 def test_flat_rods_are_shown_from_above(tmp_path, monkeypatch, height, view, up):
     shown = []
-    monkeypatch.setattr("doo_ti.report.motions.literal", lambda text: shown.append(text) or text)
+    monkeypatch.setattr("doo_ti.report.canvas.literal", lambda text: shown.append(text) or text)
     s, shifts = np.linspace(0, np.pi, 12), np.linspace(0, 20, 5)[None, :, None]
     curve = np.stack([100 * np.cos(s) + 0 * shifts, 60 * np.sin(s) + shifts, height * np.sin(3 * s) + 0 * shifts], axis=-1)
     rods = curve if up[2] else curve[..., [0, 2, 1]]
@@ -262,7 +262,7 @@ def test_arrows_of_forces_are_in_newton_where_the_weight_is_known():
 def test_whole_arrows_are_in_pictures(tmp_path, monkeypatch):
     """Of a rod that hangs over an edge: the limits hold the tips, a fifth of the picture above it at most."""
     limits = []
-    monkeypatch.setattr(motions, "save_figure", lambda figure, path: limits.append(figure.axes[0].get_ylim()))
+    monkeypatch.setattr(motions.canvas, "save_figure", lambda figure, *rest: limits.append(figure.axes[0].get_ylim()))
     x = np.linspace(0, 100, 9)
     positions = np.tile(np.stack([x, 0 * x, -0.3 * np.abs(x - 50)], axis=-1), (1, 3, 1, 1))
     force = np.zeros_like(positions)
