@@ -39,7 +39,7 @@ def declare(add) -> None:
     parser.add_argument("marks", metavar="MARKS.csv",
                         help="columns observation,camera,mark,u_px,v_px; ribbons have marks 0L, 0R, 1L …")
     image_options.add_rig(parser)
-    given.add(parser, "--out", "OBS", given.OBSERVATIONS, "file to write: .npz, .csv or .parquet", required=True)
+    given.add(parser, "--out", "OBS", given.output_file, "file to write: .npz, .csv or .parquet", required=True)
     given.add(parser, "--labels", "LABELS.csv", str, "columns observation and any of end_distance_mm, end_rotation_deg, "
               "total_twist_deg")
     given.add(parser, "--rest-length", "MM", given.LENGTH, "length of rod from each mark to the next (default: the median "

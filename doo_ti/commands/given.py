@@ -322,7 +322,7 @@ def output_file(option: str, text: str | Path, suffixes: tuple[str, ...] = ()) -
     return path
 
 
-def output_folder(option: str, text: str) -> Path:
+def folder(option: str, text: str) -> Path:
     """The folder to write, which need not exist yet."""
     if not text.strip():
         raise InputError(SOURCE, option, f"{text!r} is not a folder", "name one, such as . for the current one")
@@ -340,6 +340,5 @@ def _check_folder(folder: Path, option: str) -> None:
 
 
 LENGTH, COUNT, FROM_ZERO, NUMBERS = positive("mm"), whole(1), whole(0), numbers()
-OBSERVATIONS, FOLDER = output_file, output_folder
 FRAME_WEIGHT = number(f"a number of mm from zero up to {LARGEST:g}", lambda weight: 0 <= weight <= LARGEST)
 """Those that several commands take."""

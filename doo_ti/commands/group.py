@@ -86,9 +86,8 @@ def _arrays(scene: "GroupScene", moments: "list[GroupSolution]") -> dict[str, np
         "rest_length_mm": np.concatenate([rod.rest_length for rod in rods]),
         "contact_force": along(moment.contact_force for moment in moments),
         "touch": along(moment.touch for moment in moments)}
-    names = {"gap": "smallest_gap_mm"}
-    arrays |= {names.get(field.name, field.name): np.array([getattr(moment, field.name)[0] for moment in moments])
-               for field in fields(moments[0]) if field.name not in OF_RODS}
+    arrays |= {"smallest_gap_mm" if field.name == "gap" else field.name: np.array(
+        [getattr(moment, field.name)[0] for moment in moments]) for field in fields(moments[0]) if field.name not in OF_RODS}
     return results.in_newton(arrays, None if scene.newton is None else np.array([scene.newton]), 0)
 
 

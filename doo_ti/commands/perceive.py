@@ -297,14 +297,13 @@ def _lines(summary: dict) -> list[str]:
     return [
         f"{counted(len(sets), 'set')} of {len(summary['cameras'])} images, rods of {summary['edges']} edges, "
         f"{sets[0]['length_mm']:.4g} mm long; thread {summary['detected_width_px']:.1f} px wide",
-        *results.shortened(listed, MOST_LISTED, "  and {} more, which --json lists"),
-        f"  status      {results.status_text(summary['status'])}; {summary['stable']} certified stable",
-        f"  verdicts    {results.status_text(summary['verdicts'])} (docs/commands/perceive.md)",
-        *([] if len(summary["cameras"]) > 1 else
-          ["  one camera  depth is not determined by it: only by the rod's length and stiffness"]),
-        *([] if guess is None else [f"  stiffness   none given: bend {guess:g} mm³ (docs/commands/perceive.md)"]),
-        *([] if summary["orientation"] is None else [f"  orientation {summary['orientation']}"]),
-        *(f"  written to  {in_line(path)}" for path in summary["written"])]
+        *results.shortened(listed, MOST_LISTED, "  and {} more, which --json lists"), *results.rows(
+            ("status", f"{results.status_text(summary['status'])}; {summary['stable']} certified stable"),
+            ("verdicts", f"{results.status_text(summary['verdicts'])} (docs/commands/perceive.md)"),
+            ("one camera", len(summary["cameras"]) == 1 and
+             "depth is not determined by it: only by the rod's length and stiffness"),
+            ("stiffness", guess and f"none given: bend {guess:g} mm³ (docs/commands/perceive.md)"),
+            ("orientation", summary["orientation"]), *(("written to", in_line(path)) for path in summary["written"]))]
 
 
 def _set_text(entry: dict, cameras: tuple[str, ...]) -> str:

@@ -30,7 +30,7 @@ def declare(add) -> None:
     given.add_clamps(parser)
     given.add_obstacles(parser, "without friction; the rods of a scene begin where they would be without obstacles")
     loading.add_loading(parser)
-    given.add(parser, "--out", "FOLDER", given.FOLDER, "folder for plan.csv, plan.json and identifiability.png (default: not "
+    given.add(parser, "--out", "FOLDER", given.folder, "folder for plan.csv, plan.json and identifiability.png (default: not "
               "written)")
 
 

@@ -1,6 +1,7 @@
 """The output of ``doo-ti refine``: a summary as JSON, and lines of text made of it."""
 
 from dataclasses import asdict
+from functools import partial
 
 import numpy as np
 
@@ -16,12 +17,10 @@ LISTED = 6  # observations named individually
 CLEAR_ODDS = 1.0  # ln of the odds, about 3 to 1: models closer than that predict as well
 DECISIVE = 30.0  # rise of twice the log evidence
 STRAIGHT = 1e-6  # 1/mm: a radius of a kilometre
+_rows = partial(results.rows, width=19)
 SYMBOLS = {"bend": "EI", "bend_1": "EI_1", "bend_2": "EI_2", "twist": "GJ"}
-MODELS = {
-    "straight": "straight at rest",
-    "curved": "curved at rest",
-    "ribbon": "as fitted, bend stiffness different about m1 and m2",
-}
+MODELS = {"straight": "straight at rest", "curved": "curved at rest",
+          "ribbon": "as fitted, bend stiffness different about m1 and m2"}
 
 
 def summary_of(observations: Observations, surroundings: Surroundings, found, held_out, density: float | None,
@@ -58,7 +57,8 @@ def summary_of(observations: Observations, surroundings: Surroundings, found, he
         "reaches_noise": found.adequacy.reaches_noise,
         "turns_open": all((observations.total_twist is None, observations.start_frame is not None,
                            observations.end_frame is not None, observations.frames is None)),
-        "advice": [asdict(one) | {"option": _option(one.option)} for one in found.adequacy.advice],
+        "advice": [asdict(one) | {"option": "--" + one.option.replace("_", "-").replace("=", " ")}
+                   for one in found.adequacy.advice],
         "sensitive": [{"observation": observations.labels[one.observation], "parameter": one.parameter, "factor": one.factor}
                       for one in found.adequacy.influences],
         "models": [asdict(score) for score in found.scores],
@@ -174,10 +174,6 @@ def _curved(summary: dict) -> bool:
     return summary["rest_curvature_per_mm"]["root_mean_square"] >= STRAIGHT
 
 
-def _rows(*entries: tuple[str, str | object]) -> list[str]:
-    return results.rows(*entries, width=19)
-
-
 def interval_text(value: float, low: float | None, high: float | None, unit: str) -> str:
     """A value with its interval; bounded on one side only that bound; else that it is not determined."""
     from doo_ti.refinement.estimate import WIDE_FACTOR
@@ -195,12 +191,6 @@ def interval_text(value: float, low: float | None, high: float | None, unit: str
 def _without_interval(value: float, low: float | None, high: float | None, unit: str) -> str:
     """The value where a fit has stopped; its interval would be that of another place."""
     return f"{value:.4g} {unit}".rstrip() + "  (no interval: not converged)"
-
-
-def _option(argument: str) -> str:
-    """``rest_curvature=field`` as ``--rest-curvature field``."""
-    name, _, value = argument.partition("=")
-    return f"--{name.replace('_', '-')} {value}"
 
 
 def _adequacy_lines(summary: dict) -> list[str]:

@@ -29,11 +29,11 @@ def declare(add) -> None:
                              "(default: those of the paper that the runs allow)")
     given.add(parser, "--end-distances", "MM,MM", given.NUMBERS, "end distances to compare in tables by end distance (default: "
               "all)")
-    given.add(parser, "--out", "FOLDER", given.FOLDER, "folder for learn.json and the tables as .csv and .md (default: not "
+    given.add(parser, "--out", "FOLDER", given.folder, "folder for learn.json and the tables as .csv and .md (default: not "
               "written)")
     parser = given.command(add, "figures", run_figures, "draw and record the landscapes of finished sweeps")
     parser.add_argument("runs", nargs="+", metavar="RUN", help="folders that sweep wrote, over one grid")
-    given.add(parser, "--out", "FOLDER", given.FOLDER, "folder to write", required=True)
+    given.add(parser, "--out", "FOLDER", given.folder, "folder to write", required=True)
     parser.add_argument("--by", choices=("end-distance",), dest="by_end_distance",
                         help="also draw a landscape for each end distance")
     parser.add_argument("--cells", metavar="all|N", type=given.either({"all": None}, given.COUNT), default=MOST_CELLS,
@@ -42,7 +42,7 @@ def declare(add) -> None:
               "the one where the regimes differ most)")
     parser = given.command(add, "view", run_view, "open a run's recording in the rerun viewer", json=False)
     parser.add_argument("recording", metavar="RUN", help="folder of a run, finished or not, or an .rrd file")
-    given.add(parser, "--out", "FOLDER", given.FOLDER, "for an unfinished sweep: folder for landscape.png and run.rrd of the "
+    given.add(parser, "--out", "FOLDER", given.folder, "for an unfinished sweep: folder for landscape.png and run.rrd of the "
               "cells so far, instead of a window")
     shown = parser.add_mutually_exclusive_group()
     shown.add_argument("--web", action="store_true",

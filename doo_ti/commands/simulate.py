@@ -6,16 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
-from doo_ti.commands import doubts, given, loading, results
-from doo_ti.commands.moving_rods import (
-    LOSSES,
-    OF_MOTIONS,
-    SimulatedRods,
-    add_losses,
-    add_motion,
-    require_length,
-    simulated_rods,
-)
+from doo_ti.commands import doubts, given, loading, moving_rods, results
+from doo_ti.commands.moving_rods import LOSSES, OF_MOTIONS, SimulatedRods
 from doo_ti.contact.surroundings import Surroundings
 from doo_ti.contact.touch import Touch
 from doo_ti.dynamics.parameters import Stepping
@@ -30,8 +22,9 @@ from doo_ti.system.errors import InputError
 from doo_ti.system.terminal import busy, in_line, progress, warn
 
 CLAMPS = ("clamp_start", "clamp_end")
+OF_STEPPING = ("substeps", "scheme", "precision", "tolerance", "most_substeps", "quasi_static")  # options that are its fields
 MOST_LISTED = 8
-ENERGY = "energy_{}"
+OF_ALL = ("rate_hz", "recording")  # arrays that have no row for each rod
 NOTABLE = 0.02  # share of the energy: what the time steps lose beyond it is said
 SPLIT = ("kinetic", "gravity", "bending", "twist", "dissipated", "work", "unaccounted", "sum")
 """Energies in pictures and recordings."""
@@ -79,9 +72,9 @@ def declare(add) -> None:
                         "(default: as the scene says)")
     given.add_material(parser, "of rods that observations show: a number or LO:HI:N[:log|:lin]; a RECORDING needs --theta",
                        given.EVERYTHING, "for --EI, --GJ and forces in N")
-    add_losses(parser)
+    moving_rods.add_losses(parser)
     given.add_clamps(parser)
-    add_motion(parser)
+    moving_rods.add_motion(parser)
     parser.add_argument("--start", metavar="OBS", help=SUPPRESS)
     parser.set_defaults(theta_note=None)
     loading.add_rest_length(parser)
@@ -96,9 +89,8 @@ def run(options: Namespace) -> int:
     out, up = options.out, given.world_up(options)
     if options.tolerance is None:
         given.refuse(options, ("most_substeps",), "given without --tolerance", "give both, or --substeps")
-    changes = {name: getattr(options, name) for name in ("substeps", "scheme", "precision", "tolerance", "most_substeps")}
-    changes["quasi_static"] = options.quasi_static or None
-    changes = {name: value for name, value in changes.items() if value is not None}  # fields of Stepping
+    stated = vars(options) | {"quasi_static": options.quasi_static or None}
+    changes = {name: stated[name] for name in OF_STEPPING if stated[name] is not None}
     if Path(options.source).suffix == ".toml":
         found = _scene(options, changes, up)
     else:
@@ -108,13 +100,11 @@ def run(options: Namespace) -> int:
             raise InputError(options.source, "file", "holds poses of grippers, and no rods", "give observations of the "
                              "rods, and this file as --motion")
         found = _recorded(options, out, changes, up) if options.motion is None else _carried(
-            options, simulated_rods(options, out, changes))
+            options, moving_rods.simulated_rods(options, out, changes))
     arrays, summary = _results(found, out)
     whole = arrays
     if found.alone:
-        per_rod = {"positions_mm", "status", "error_mm", "substeps", "step_error_mm", *map(ENERGY.format, found.energies),
-                   *found.contact, "end_force", "end_force_N", "contact_force_N"}
-        arrays = {key: value[0] if key in per_rod else value for key, value in arrays.items()}
+        arrays = {key: value if key in OF_ALL else value[0] for key, value in arrays.items()}
     results.save_arrays(out, arrays, ("frame",) if found.alone else ("rod", "frame"))
     _draw(found, options.picture, options.recording, options.animation)
     if summary.get("above_tolerance"):
@@ -138,15 +128,14 @@ def _recorded(options: Namespace, out: Path, changes: dict, up: np.ndarray) -> _
     if motion.edges != len(theta.rest_length):
         raise InputError(options.theta, "rest_length_mm", f"{len(theta.rest_length)} edges, {in_line(options.source)} has "
                          f"{motion.edges}", "give the theta of this rod")
-    require_length(options.theta, theta, float(motion.edge_lengths().sum()))
+    moving_rods.require_length(options.theta, theta, float(motion.edge_lengths().sum()))
     doubts.warn_of_rod(options.source, theta.rest_length, surroundings)
     own_up = up if options.up is not None else motion.up
     theta = theta if own_up is None else replace(theta, up=own_up)
     stepping = Stepping(motion.rate, **changes)
     with progress() as bar:
         task = bar.add_task("simulating", total=motion.count * (motion.positions.shape[1] - 2), unit="rods x frames")
-        rollouts = Rollouts.of(motion, theta, stepping, IdentifyOptions.end, surroundings, options.smoothing,
-                               finer=True)
+        rollouts = Rollouts.of(motion, theta, stepping, IdentifyOptions.end, surroundings, options.smoothing, finer=True)
         positions, status, energies, found = rollouts.simulated(
             theta, progress=lambda done: bar.update(task, completed=motion.count * done))
     return _Simulated(Path(options.source).stem, list(motion.names), positions, status, motion.rate, theta.up,
@@ -230,7 +219,7 @@ def _carried(options: Namespace, moved: SimulatedRods) -> _Simulated:
 def _results(found: _Simulated, out: Path) -> tuple[dict, dict]:
     arrays = {"positions_mm": found.positions, "status": found.status, "rate_hz": np.float64(found.rate),
               "recording": np.array(found.names), "substeps": found.substeps}
-    arrays |= {ENERGY.format(name): value for name, value in found.energies.items()} | found.contact
+    arrays |= {f"energy_{name}": value for name, value in found.energies.items()} | found.contact
     before = found.positions.shape[1] - found.end_force.shape[1]  # frames at which the motion begins, whose force is not known
     arrays["end_force"] = np.pad(found.end_force, ((0, 0), (before, 0), (0, 0)), constant_values=np.nan)
     arrays = results.in_newton(arrays, None if found.newtons is None else np.broadcast_to(found.newtons, len(found.names)), 0)
@@ -257,7 +246,7 @@ def _results(found: _Simulated, out: Path) -> tuple[dict, dict]:
         arrays["error_mm"] = mean_error(found.positions, found.recorded)
         each = arrays["error_mm"][:, 2:].mean(axis=1)
         sound = each[np.isfinite(each)]
-        summary |= {"error_mm": {name: value for name, value in zip(found.names, each, strict=True)},
+        summary |= {"error_mm": dict(zip(found.names, each, strict=True)),
                     "mean_error_mm": sound.mean() if len(sound) else np.nan,
                     "median_error_mm": np.median(sound) if len(sound) else np.nan, "glitches": list(found.glitches)}
     return arrays, summary

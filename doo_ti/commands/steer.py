@@ -47,7 +47,7 @@ def declare(add) -> None:
                            "bring a rod to a shape by what cameras see of it, in the virtual lab (§VI)")
     add_steered(parser)
     image_options.add_rig(parser)
-    given.add(parser, "--out", "DIR", given.FOLDER, f"folder for {PATH}, {TABLE}, {PICTURE} and {RECORDING}", required=True)
+    given.add(parser, "--out", "DIR", given.folder, f"folder for {PATH}, {TABLE}, {PICTURE} and {RECORDING}", required=True)
     lab = parser.add_argument_group("virtual lab", "the true rod and its images")
     given.add(lab, "--true-EI", "NM2", given.positive("N m²"), "bend stiffness of the true rod in N m² (default: the model's)")
     given.add(lab, "--true-GJ", "NM2", given.positive("N m²"), "its twist stiffness in N m² (default: the model's)")
@@ -84,8 +84,7 @@ def run_steer(options: Namespace) -> int:
         warn(f"{in_line(options.start)}: its grippers are taken to hold half of each outer edge; if they end at the outer "
              f"marks, the rod ends about {path.clamp_error:.2g} mm elsewhere; give START and TARGET more vertices then")
     summary = {"reached": path.reached, "distance_mm": path.distance, "mesh_error_mm": path.mesh_error,
-               "clamp_error_mm": path.clamp_error,
-               "moments": path.moments, "seconds": path.time[-1], "out": str(out)}
+               "clamp_error_mm": path.clamp_error, "moments": path.moments, "seconds": path.time[-1], "out": str(out)}
     results.report(options, summary, lambda: [
         f"{rod.observations.name}: target {'reached' if path.reached else 'not reached'}, {path.distance:.3g} mm from it "
         "(root mean square)", f"  path        {path.moments} moments, certified stable, without a jump",

@@ -34,7 +34,7 @@ def declare(add) -> None:
     parser.add_argument("sources", nargs="+", metavar="SCENE.toml|OBS", type=scene_file,
                         help=f"scenes, or observations: {loading.FORMATS}; each "
                         "of several gets a folder of its name below RUN")
-    given.add(parser, "--out", "RUN", given.FOLDER, "folder to write; an unfinished run in it is resumed", required=True)
+    given.add(parser, "--out", "RUN", given.folder, "folder to write; an unfinished run in it is resumed", required=True)
     given.add_material(parser, "a number or LO:HI:N[:log|:lin]; overrides the scene's axis",
                        density="for --EI, --GJ and results in N m²")
     given.add_relaxation(parser, None)

@@ -23,7 +23,7 @@ DIAMETER_MM = 0.5
 def declare(add) -> None:
     parser = given.command(add, "convert", run_convert, "convert observations from one file format to another", json=False)
     parser.add_argument("observations", metavar="IN", help=loading.FORMATS)
-    given.add(parser, "out", "OUT", given.OBSERVATIONS, ".npz, .csv or .parquet")
+    given.add(parser, "out", "OUT", given.output_file, ".npz, .csv or .parquet")
     loading.add_loading(parser)
     given.add(parser, "--select", "FROM:TO[:STEP]|N,N,…", str, "only these observations, numbered from 0 (default: all; with "
               "--complete those of one mark or none are not counted)")
@@ -39,9 +39,9 @@ def declare(add) -> None:
                            json=False)
     parser.set_defaults(up=None, unit=None, columns=None, rest_length=None)  # as the scene says
     parser.add_argument("scene", metavar="SCENE.toml", type=scene_file, help="a scene with [synthesis]")
-    given.add(parser, "--out", "OBS", given.OBSERVATIONS, "file for the observations: .npz, .csv or .parquet")
+    given.add(parser, "--out", "OBS", given.output_file, "file for the observations: .npz, .csv or .parquet")
     images = parser.add_argument_group("images", "rendered images of the rods; label noise has no effect on them")
-    given.add(images, "--images", "FOLDER", given.FOLDER, "folder for the images, sets.csv, rig.yaml and truth.npz")
+    given.add(images, "--images", "FOLDER", given.folder, "folder for the images, sets.csv, rig.yaml and truth.npz")
     given.add(images, "--rig", "RIG", scene_file, "the cameras: OpenCV FileStorage YAML, such as scenes/rig.yaml")
     given.add(images, "--diameter", "MM", given.LENGTH, f"diameter of the thread (default {DIAMETER_MM:g})")
     given.add(images, "--seed", "N", given.FROM_ZERO, "seed of all random numbers for the images (default 0)")

@@ -1,10 +1,6 @@
 """Files of named arrays: npz, one array per key, or CSV, one row per entry of the first axis; and the one reader for every CSV
 table that users write, with one form of error message.
 
-The caller of :func:`read_arrays` states which keys are known, the shape of an entry, and the columns that hold it in CSV:
-
-    {"end_position_mm": ((3,), ("end_x_mm", "end_y_mm", "end_z_mm"))}
-
 A message about a table names file, column, the cell's text, its line (the header is line 1) and the remedy:
 
     sets.csv: seed_y: 'x' in line 2 is not a finite number; give decimal numbers
@@ -110,6 +106,8 @@ def check_unpacked(path: Path, content: bytes, size: int) -> None:
 
 def read_arrays(path: Path, known: dict[str, tuple[tuple[int, ...], tuple[str, ...]]]) -> dict[str, np.ndarray]:
     """The arrays of a file, those of a CSV file (N, \\*shape), as float64.
+
+    known  of each key the shape of an entry, and the columns that hold it in CSV: {"place_mm": ((3,), ("x_mm", …))}
 
     Raises InputError for files that cannot be read, unknown columns, entries that are not finite numbers, and where none of
     the known keys is there.
