@@ -66,7 +66,7 @@ def run_calibrate(options: Namespace) -> int:
     summary = _calibration_summary(views, calibration, options.out)
     summary["orientation"] = image_options.orientation_note(views.images.values(), turned)
     _doubt_calibration(views, calibration)
-    results.report(options, summary, lambda: _calibration_lines(views, calibration, summary))
+    results.report(options, summary, lambda: _calibration_lines(views, calibration, summary), indent="")
     return 0
 
 
@@ -154,7 +154,7 @@ def _calibration_lines(views: Views, calibration: Calibration, summary: dict) ->
         lines.append(f"no board found in {len(summary['without_board'])} of {len(summary['images'])} images")
     if summary["orientation"]:
         lines.append(f"orientation: {summary['orientation']}")
-    return [*lines, f"written to {in_line(summary['out'])}"]
+    return lines
 
 
 # --- triangulate ---------------------------------------------------------------------------------------------------------
@@ -256,4 +256,4 @@ def _marks_lines(marks: Marks, summary: dict) -> list[str]:
     if marks.is_ribbon:
         lines.append(f"  frames      {summary['frames_filled']} carried over from their neighbours; measured in all "
                      f"observations at {' and '.join(summary['end_frames']) or 'neither end'}")
-    return [*lines, f"  written to {in_line(summary['out'])}"]
+    return lines

@@ -196,9 +196,10 @@ def world_up(options: Namespace, otherwise: np.ndarray | None = None) -> np.ndar
     return next((found for found in (options.up, otherwise) if found is not None), np.array([0.0, 0.0, 1.0]))
 
 
-def clamps(options: Namespace) -> tuple[Clamp | None, Clamp | None]:
-    """The kinds of clamps at the start and at the end, or None where the options leave them out."""
-    return tuple(None if name is None else Clamp[name.upper()] for name in (options.clamp_start, options.clamp_end))
+def clamps(options: Namespace, otherwise: tuple[Clamp | None, ...] = (None, None)) -> tuple[Clamp | None, Clamp | None]:
+    """The kinds of clamps at the start and at the end; what the options leave out is as in ``otherwise``."""
+    names = options.clamp_start, options.clamp_end
+    return tuple(own if name is None else Clamp[name.upper()] for name, own in zip(names, otherwise, strict=True))
 
 
 def surroundings(options: Namespace) -> Surroundings:

@@ -179,5 +179,4 @@ def _lines(scene: "GroupScene", summary: dict) -> list[str]:
             ("forces", at_rest and held and "of clamps: " + "; ".join(
                 f"{in_line(name)} {factor * force:.4g}" for name, force in held) + f" {unit}"),
             ("ties", at_rest and ties and "; ".join(f"{factor * force:.4g}" for force in summary["tie_force"][:MOST_LISTED])
-                     + "; …" * (ties > MOST_LISTED) + f" {unit}")),
-        f"  written to {in_line(summary['out'])}"]
+                     + "; …" * (ties > MOST_LISTED) + f" {unit}"))]

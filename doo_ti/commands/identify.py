@@ -183,5 +183,4 @@ def _lines(summary: dict, motion) -> list[str]:
             ("inside", inside and f"the grippers of {results.listed(inside, MOST_LISTED)} hold the rod up to "
                                   f"{max(inside.values()):.3g} mm inside an obstacle: correct its place, or give a smaller "
                                   "--radius"),
-            *(("glitch", in_line(line)) for line in glitches), width=16),
-        f"  written to {in_line(summary['out'])}"]
+            *(("glitch", in_line(line)) for line in glitches), width=16)]

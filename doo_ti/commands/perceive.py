@@ -303,7 +303,7 @@ def _lines(summary: dict) -> list[str]:
             ("one camera", len(summary["cameras"]) == 1 and
              "depth is not determined by it: only by the rod's length and stiffness"),
             ("stiffness", guess and f"none given: bend {guess:g} mm³ (docs/commands/perceive.md)"),
-            ("orientation", summary["orientation"]), *(("written to", in_line(path)) for path in summary["written"]))]
+            ("orientation", summary["orientation"]))]
 
 
 def _set_text(entry: dict, cameras: tuple[str, ...]) -> str:

@@ -20,7 +20,7 @@ from doo_ti.rod.material import STANDARD_GRAVITY
 from doo_ti.rod.types import Clamp, Configuration, Status
 from doo_ti.system.arguments import counted
 from doo_ti.system.errors import InputError
-from doo_ti.system.terminal import in_line, progress
+from doo_ti.system.terminal import progress
 
 MOST_LISTED = 30
 DEGREES = given.number("a number of degrees from 0.001 to 30", lambda degrees: 1e-3 <= degrees <= 30)
@@ -88,7 +88,7 @@ def run(options: Namespace) -> int:
     if options.picture or options.recording:
         _draw(rods, prediction, result, options.picture, options.recording, lines)
     loaded = [] if rods.observations is None else [loading.rod_line(rods.observations)]
-    results.report(options, summary, lambda: [*lines, *loaded, f"  written to {in_line(out)}"])
+    results.report(options, summary, lambda: lines + loaded)
     return 0 if prediction.followed[-1].any() else 1
 
 

@@ -184,7 +184,7 @@ def _task(options: Namespace, source: str) -> Task:
     if options.spacing_error is not None:
         observations = replace(observations, spacing_error=options.spacing_error)
     loads = None if options.mass is None else _loads(options.mass, observations, density)
-    kinds = tuple(kind if own is None else own for own, kind in zip(given.clamps(options), kinds, strict=True))
+    kinds = given.clamps(options, kinds)
     exact = "exact" in (options.clamps, options.frames)
     every, observations = observations.labels, loading.with_ends_in_reach(observations, *kinds, exact)
     loads = None if loads is None else loads[np.isin(every, observations.labels)]

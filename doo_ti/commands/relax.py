@@ -14,7 +14,7 @@ from doo_ti.rod.observations import Observations
 from doo_ti.rod.start import check_experiment, choose_hypothesis, observation_clamps, start_configuration, turn_hypotheses
 from doo_ti.rod.types import Status
 from doo_ti.system.arguments import counted
-from doo_ti.system.terminal import busy, in_line
+from doo_ti.system.terminal import busy
 
 WRITTEN = ("energy", "status", "iterations", "residual", "stable")
 
@@ -104,5 +104,4 @@ def _lines(observations: Observations, grid: Grid, result: dict, summary: dict) 
              f"{observations.labels[np.nanargmax(result['distance_mm'])]} (Eq. 1)"),
             *results.mesh_rows(summary), results.contact_row(summary, observations.count),
             ("infeasible", summary["infeasible_reason"]),
-            ("iterations", f"median {summary['median_iterations']:.0f}, most {int(result['iterations'].max())}")),
-        f"  written to {in_line(summary['out'])}"]
+            ("iterations", f"median {summary['median_iterations']:.0f}, most {int(result['iterations'].max())}"))]

@@ -279,8 +279,7 @@ def _lines(found: _Simulated, summary: dict, arrays: dict) -> list[str]:
             ("error", found.recorded is not None and
              f"mean {summary['mean_error_mm']:.4g} mm, median {summary['median_error_mm']:.4g} mm over recordings (mean "
              "|difference| over markers and coordinates, grippers' included)"),
-            *(("glitch", in_line(line)) for line in glitches)),
-        f"  written to {in_line(summary['out'])}"]
+            *(("glitch", in_line(line)) for line in glitches))]
 
 
 def _lost_share(energies: dict[str, np.ndarray]) -> np.ndarray:

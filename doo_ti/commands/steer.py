@@ -90,7 +90,7 @@ def run_steer(options: Namespace) -> int:
         "(root mean square)", f"  path        {path.moments} moments, certified stable, without a jump",
         f"  mesh error  {path.mesh_error:.2g} mm: about how far a rod of many edges ends from that",
         f"  clamps      {path.clamp_error:.2g} mm: about how far it ends from that if they end at the outer marks",
-        loading.rod_line(rod.observations), f"  written to {in_line(out)}"])
+        loading.rod_line(rod.observations)])
     return 0
 
 
@@ -325,5 +325,4 @@ def _lines(rod: SteeredRod, steps: list[Step], summary: dict) -> list[str]:
         f"{rod.observations.name}: target {'reached' if summary['reached'] else 'not reached'}, {summary['distance_mm']:.3g} mm"
         f" from it (root mean square), {summary['estimated_mm']:.3g} mm as estimated",
         f"  steps       {summary['steps']}; the rod {frames}; a camera covered in {summary['covered']}",
-        f"  status      {summary['status']}", *learned, loading.rod_line(rod.observations),
-        *(f"  written to  {in_line(path)}" for path in summary["written"])]
+        f"  status      {summary['status']}", *learned, loading.rod_line(rod.observations)]

@@ -123,8 +123,7 @@ def _search(options: Namespace, source: str, run: Path) -> _Search:
         seed = scene.observations.seed if seed is None else seed
         scene = replace(scene, observations=replace(scene.observations, seed=seed))
     observations = loading.of_scene(options, scene).along_arcs()
-    clamp_start, clamp_end = (own if chosen is None else chosen for own, chosen in zip(
-        (scene.clamp_start, scene.clamp_end), given.clamps(options), strict=True))
+    clamp_start, clamp_end = given.clamps(options, (scene.clamp_start, scene.clamp_end))
     objective = options.objective or scene.objective
     if objective == "static":
         observations = loading.with_ends_in_reach(observations, clamp_start, clamp_end)

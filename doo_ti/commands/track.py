@@ -294,4 +294,4 @@ def _lines(summary: dict) -> list[str]:
             ("doubts", reasons and f"{len(verdicts['clear'])} frames are clear; of others: {of_others}"),
             ("images", off is not None and f"{f'{off:.2f}' if off >= LEAST_SHOWN else f'less than {LEAST_SHOWN}'} px off on "
                                            f"average; {summary['stable']} rods at certified minima of E_vis"),
-            ("orientation", summary["orientation"]), *(("written to", in_line(path)) for path in summary["written"]))]
+            ("orientation", summary["orientation"]))]

@@ -141,8 +141,7 @@ def _lines(observations: Observations, grid: Grid, estimate, summary: dict) -> l
         f"  verdicts    {results.status_text(summary['verdicts'])}; {summary['unsound_rods']} of {rods} rods on the curves "
         "have no certified minimum",
         *results.shortened([_group_line(observations, estimate, k) for k in range(len(estimate.phi))], MOST_LISTED,
-                           f"  and {{}} more, which {in_line(Path(summary['out']).name)} holds"),
-        f"  written to {in_line(summary['out'])}"]
+                           f"  and {{}} more, which {in_line(Path(summary['out']).name)} holds")]
 
 
 def _group_line(observations: Observations, estimate, k: int) -> str:

@@ -141,7 +141,6 @@ def save_animation(path: Path, name: str, names: list[str], positions: np.ndarra
     every = max(1, round(rate / FRAMES_PER_SECOND), -(-positions.shape[1] // MOST_FRAMES))
     frames = range(0, positions.shape[1], every)
     flat = positions[rows] @ axes.T
-    seen = None if recorded is None else recorded[rows] @ axes.T
     limits = canvas.limits_around(flat, 0.54, 0.2)
     size = np.ptp(limits, axis=-1)
     columns = min(4, len(rows))
@@ -149,16 +148,16 @@ def save_animation(path: Path, name: str, names: list[str], positions: np.ndarra
     width = 2.6 if columns > 1 else 3.6
     head = 0.3 if touched is None else 0.5
     figure = canvas.new_figure((width * columns, min(width * size[1] / size[0] + 0.3, 4.0) * lines + head), 80)
-    curves, marks, momentary = [], [], []
+    curves, momentary = [], []  # lines with their places at all frames, and what is drawn for one
     for k in range(len(rows)):
         plot = figure.add_subplot(lines, columns, k + 1)
         plot.set(xlim=limits[0], ylim=limits[1], aspect="equal", xticks=[], yticks=[])
         plot.set_title(canvas.literal(names[rows[k]]), fontsize=9)
         if touched is not None:
             touched.draw_obstacles(plot, rows[k], axes, 0, Obstacle)
-        if seen is not None:
-            marks.append(plot.plot([], [], color=RECORDED, lw=4)[0])
-        curves.append(plot.plot([], [], color=PREDICTED, lw=1.8)[0])
+        if recorded is not None:
+            curves += [(line, recorded[rows[k]] @ axes.T) for line in plot.plot([], [], color=RECORDED, lw=4)]
+        curves += [(line, flat[k]) for line in plot.plot([], [], color=PREDICTED, lw=1.8)]
     figure.suptitle(canvas.literal(name) + ("" if touched is None else f"\nblue: {touched.legend}"), fontsize=10)
     canvas.fit_titles(figure)
     images = []
@@ -169,10 +168,8 @@ def save_animation(path: Path, name: str, names: list[str], positions: np.ndarra
             drawn for plot, row in zip(figure.axes, rows, strict=True)
             for drawn in (*touched.draw_obstacles(plot, row, axes, frame, Moving),
                           *touched.draw_forces(plot, row, axes, frame))]
-        for k, curve in enumerate(curves):
-            curve.set_data(*flat[k, frame].T)
-            if seen is not None:
-                marks[k].set_data(*seen[k, frame].T)
+        for line, places in curves:
+            line.set_data(*places[frame].T)
         figure.canvas.draw()
         images.append(Image.fromarray(np.asarray(figure.canvas.buffer_rgba())[..., :3]))
     if path.suffix == ".gif":
