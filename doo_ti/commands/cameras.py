@@ -11,7 +11,7 @@ from doo_ti.io.observation_files import save_observations
 from doo_ti.rod.material import UNITS_IN_MM
 from doo_ti.rod.observations import Observations
 from doo_ti.system.arguments import counted
-from doo_ti.system.errors import InputError
+from doo_ti.system.errors import InputError, require
 from doo_ti.system.terminal import in_line, progress, warn
 from doo_ti.vision.board import FORMS, Views, find_sightings, parse_board, read_views
 from doo_ti.vision.calibration import COEFFICIENTS, WORLDS, Calibration, calibrate
@@ -165,8 +165,7 @@ def run_triangulate(options: Namespace) -> int:
     chosen = TriangulationOptions(options.sigma_px, options.threshold)
     results.refuse_overwriting(options.out, options.marks)
     rig = image_options.rig(options)
-    if len(rig.cameras) < 2:
-        raise InputError(options.rig, "cameras", "one camera", "triangulation needs two or more")
+    require(len(rig.cameras) >= 2, options.rig, "cameras", "one camera", "triangulation needs two or more")
     marks = read_marks(options.marks, rig)
     labels = {} if options.labels is None else read_labels(options.labels, marks.names)
     if "total_twist" in labels:

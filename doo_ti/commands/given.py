@@ -20,7 +20,7 @@ from doo_ti.io.scene import CLAMPS, PRECISIONS
 from doo_ti.rod.grid import UNITS, Axis, Grid, parse_axes, parse_axis
 from doo_ti.rod.material import bend_or_twist, force_in_newton, weight_per_length
 from doo_ti.rod.types import LARGEST, Clamp, unit_up
-from doo_ti.system.errors import InputError
+from doo_ti.system.errors import InputError, require
 from doo_ti.system.terminal import INSTALL_RECORDER, has_recorder
 
 SOURCE = "command line"
@@ -186,8 +186,7 @@ def single_cell(options: Namespace, remedy: str = "give one number") -> Grid:
 def round_cell(options: Namespace, rods: str) -> Grid:
     """One Θ that is the same in all directions across the rod; ``rods`` says which rods must be so."""
     found = single_cell(options)
-    if not found.is_isotropic:
-        raise InputError(SOURCE, "--bend", "not the same in all directions", f"give --bend A: {rods} rods are round")
+    require(found.is_isotropic, SOURCE, "--bend", "not the same in all directions", f"give --bend A: {rods} rods are round")
     return found
 
 
@@ -207,8 +206,7 @@ def surroundings(options: Namespace) -> Surroundings:
     if options.obstacles is None:
         refuse(options, ("radius",), "given without --obstacles", "give both, or neither")
         return Surroundings()
-    if options.radius is None:
-        raise InputError(SOURCE, "--radius", "missing beside --obstacles", "give the radius of the rods in mm")
+    require(options.radius is not None, SOURCE, "--radius", "missing beside --obstacles", "give the radius of the rods in mm")
     if getattr(options, "solver", "newton") != "newton":
         raise InputError(SOURCE, "--solver", f"{options.solver} given beside --obstacles", "leave it out")
     return Surroundings(load_obstacles(options.obstacles), options.radius)
@@ -230,8 +228,7 @@ def refuse(options: Namespace, names: Iterable[str], problem: str, remedy: str) 
 
 def require_recorder(name: str) -> None:
     """Raise InputError where rerun is missing, which the option or command ``name`` needs."""
-    if not has_recorder():
-        raise InputError(SOURCE, name, "rerun is not installed", INSTALL_RECORDER)
+    require(has_recorder(), SOURCE, name, "rerun is not installed", INSTALL_RECORDER)
 
 
 # --- the texts of options ------------------------------------------------------------------------------------------------
@@ -257,8 +254,7 @@ def number(wanted: str, fits: Callable[[float], bool] = lambda value: True) -> R
     """A finite number that ``fits``."""
     def read(option: str, text: str) -> float:
         value = number_in(text)
-        if not (np.isfinite(value) and fits(value)):
-            raise InputError(SOURCE, option, f"{text!r} is not {wanted}", f"give {wanted}")
+        require(np.isfinite(value) and fits(value), SOURCE, option, f"{text!r} is not {wanted}", f"give {wanted}")
         return value
     return read
 
@@ -284,8 +280,7 @@ def numbers(form: str | None = None, each: Reader = number("a number, between co
 def rows(option: str, text: str | None, count: int) -> tuple[int, ...]:
     """``0,3,7``: different row numbers below ``count`` between commas; none without text."""
     found = () if text is None else tuple(whole(0, count - 1)(option, part) for part in text.split(","))
-    if len(set(found)) < len(found):
-        raise InputError(SOURCE, option, f"{text!r} names a row twice", "name each once")
+    require(len(set(found)) >= len(found), SOURCE, option, f"{text!r} names a row twice", "name each once")
     return found
 
 
@@ -325,8 +320,7 @@ def output_file(option: str, text: str | Path, suffixes: tuple[str, ...] = ()) -
 
 def folder(option: str, text: str) -> Path:
     """The folder to write, which need not exist yet."""
-    if not text.strip():
-        raise InputError(SOURCE, option, f"{text!r} is not a folder", "name one, such as . for the current one")
+    require(text.strip(), SOURCE, option, f"{text!r} is not a folder", "name one, such as . for the current one")
     _check_folder(Path(text), option)
     return Path(text)
 
@@ -334,10 +328,8 @@ def folder(option: str, text: str) -> Path:
 def _check_folder(folder: Path, option: str) -> None:
     """Raise InputError unless files can be written in ``folder``, which may not exist yet."""
     existing = next(path for path in (folder, *folder.absolute().parents) if os.path.lexists(path))
-    if not os.path.isdir(existing):
-        raise InputError(SOURCE, option, f"{existing} is a file, not a folder", "name another folder")
-    if not os.access(existing, os.W_OK | os.X_OK):
-        raise InputError(SOURCE, option, f"{existing} is not writable", "name another folder")
+    require(os.path.isdir(existing), SOURCE, option, f"{existing} is a file, not a folder", "name another folder")
+    require(os.access(existing, os.W_OK | os.X_OK), SOURCE, option, f"{existing} is not writable", "name another folder")
 
 
 LENGTH, COUNT, FROM_ZERO, NUMBERS = positive("mm"), whole(1), whole(0), numbers()

@@ -18,7 +18,7 @@ from doo_ti.io.observation_files import load_observations
 from doo_ti.io.toml_file import scene_file
 from doo_ti.rod.material import UNITS_IN_MM, likely_unit
 from doo_ti.rod.types import Material
-from doo_ti.system.errors import InputError
+from doo_ti.system.errors import InputError, require
 from doo_ti.system.terminal import in_line, warn
 from doo_ti.vision.cameras import LENSES, POSES, Rig, RigReading
 from doo_ti.vision.images import ImageSets, load_sets, orientation_tags
@@ -101,8 +101,7 @@ def by_camera(option: str, texts: Iterable[str] | None, names: tuple[str, ...], 
         if camera not in names or len(values) != form.count(",") + 1:
             raise InputError(given.SOURCE, option, f"{text!r}",
                              f"give CAMERA:{form}; the rig has {', '.join(map(in_line, names))}")
-        if camera in found:
-            raise InputError(given.SOURCE, option, f"given twice for {in_line(camera)}", "give it once for each camera")
+        require(camera not in found, given.SOURCE, option, f"given twice for {in_line(camera)}", "give it once for each camera")
         found[camera] = values
     return found
 
@@ -294,8 +293,7 @@ def _sets(options: Namespace, rig):
         if both:
             raise InputError(given.SOURCE, both, "given beside --sets", "give either")
         return load_sets(options.sets, rig)
-    if not options.images:
-        raise InputError(given.SOURCE, "IMAGE", "missing", "give --sets, or images with a seed")
+    require(options.images, given.SOURCE, "IMAGE", "missing", "give --sets, or images with a seed")
     if bool(options.seed_point) == bool(options.seed_pixel):
         both = "given beside --seed-pixel" if options.seed_pixel else "missing"
         raise InputError(given.SOURCE, "--seed-point", both, "give --seed-point, or --seed-pixel: where the rod begins")
@@ -324,8 +322,7 @@ def _bounds(option: str, text: str) -> tuple[float, float]:
     """``300``, or ``250:350``, in mm."""
     low, colon, high = text.partition(":")
     bounds = given.LENGTH(option, low), given.LENGTH(option, high if colon else low)
-    if bounds[0] > bounds[1]:
-        raise InputError(given.SOURCE, option, text, "give MM, or LOW:HIGH")
+    require(bounds[0] <= bounds[1], given.SOURCE, option, text, "give MM, or LOW:HIGH")
     return bounds
 
 
@@ -343,6 +340,5 @@ def _truth(options: Namespace, names: tuple[str, ...]) -> np.ndarray | None:
         return vertices
     row = {str(name): index for index, name in enumerate(true.labels)}
     missing = next((name for name in names if name not in row), None)
-    if missing is not None:
-        raise InputError(path, "name", f"no rod is called {missing!r}", "name rods as the sets")
+    require(missing is None, path, "name", f"no rod is called {missing!r}", "name rods as the sets")
     return vertices[[row[name] for name in names]]

@@ -18,7 +18,7 @@ from doo_ti.rod.material import UNITS_IN_MM
 from doo_ti.rod.observations import Observations
 from doo_ti.rod.start import check_experiment, choose_hypothesis, observation_clamps, start_configuration, turn_hypotheses
 from doo_ti.rod.types import Clamp, Clamps, Configuration, Material
-from doo_ti.system.errors import InputError
+from doo_ti.system.errors import InputError, require
 from doo_ti.system.terminal import busy, warn
 
 if TYPE_CHECKING:
@@ -96,8 +96,7 @@ class HeldRods:
 def held_rods(options: Namespace, out: Path, kinds: tuple[Clamp | None, Clamp | None], moving: bool = False) -> HeldRods:
     """The rods of the file ``options.source``, whose clamps go along ``--motion``, at first of these ``kinds``; ``moving`` with
     inertia."""
-    if options.motion is None:
-        raise InputError(given.SOURCE, "--motion", "missing", "name a file of poses, or give a scene of motion")
+    require(options.motion is not None, given.SOURCE, "--motion", "missing", "name a file of poses, or give a scene of motion")
     grid, surroundings, theta = given.grid(options), given.surroundings(options), given.theta(options)
     if theta is not None and theta.friction is not None:
         use = "that of all obstacles" if surroundings.bodies else "ignored without obstacles"
@@ -164,8 +163,7 @@ def simulated_rods(options: Namespace, out: Path, changes: dict) -> SimulatedRod
     rate = options.rate
     path = held.path if rate is None else held.path.resampled(rate) if held.path.timed else replace(
         held.path, time=held.path.time / rate, timed=True)
-    if not path.timed:
-        raise InputError(given.SOURCE, "--rate", "missing, and the motion has no times", "give its moments per second")
+    require(path.timed, given.SOURCE, "--rate", "missing, and the motion has no times", "give its moments per second")
     options.theta_note = given.EVERYTHING
     theta, stepping = given.theta(options), Stepping(rate_of(path), **changes)
     # Damping, drag and the mass of markers are those of --theta but for what the options give.
@@ -232,9 +230,8 @@ def check_reach(path: ClampPath, clamps: Clamps, length: float) -> None:
     for moment in range(path.moments):
         held = path.at(moment, clamps)
         apart = np.linalg.norm(held.end_position - held.start_position, axis=-1).max()
-        if apart > MOST_LENGTHS * length:
-            raise InputError(path.source, f"moment {moment}", f"the clamps are {apart:.4g} mm apart, and the rod "
-                             f"{length:.4g} mm long", "correct the positions")
+        require(not apart > MOST_LENGTHS * length, path.source, f"moment {moment}",
+                f"the clamps are {apart:.4g} mm apart, and the rod {length:.4g} mm long", "correct the positions")
 
 
 def warn_of(held: HeldRods, options: Namespace) -> None:
@@ -271,9 +268,8 @@ def _begins_off(held: HeldRods) -> dict[str, np.ndarray]:
 def require_length(source, theta, length: float) -> None:
     """Raise InputError, naming the file ``source`` of ``theta``, where that is of a rod of another ``length``, mm."""
     own = float(np.sum(theta.rest_length))
-    if abs(length - own) > MOST_STRETCH * own:
-        raise InputError(source, "rest_length_mm", f"{own:.4g} mm in all, the rods are {length:.4g} mm long",
-                         "give the theta of this rod, or the unit of the lengths")
+    require(not abs(length - own) > MOST_STRETCH * own, source, "rest_length_mm",
+            f"{own:.4g} mm in all, the rods are {length:.4g} mm long", "give the theta of this rod, or the unit of the lengths")
 
 
 def with_rest_curvature(options: Namespace, material: Material, rest_length: np.ndarray, moving: bool = False) -> Material:

@@ -19,7 +19,7 @@ from doo_ti.rod.frames import matrix_from_quaternion
 from doo_ti.rod.material import STANDARD_GRAVITY
 from doo_ti.rod.types import Clamp, Configuration, Status
 from doo_ti.system.arguments import counted
-from doo_ti.system.errors import InputError
+from doo_ti.system.errors import require
 from doo_ti.system.terminal import progress
 
 MOST_LISTED = 30
@@ -62,9 +62,8 @@ def run(options: Namespace) -> int:
         warn_of(rods, options)
     stepping = _stepping(rods, between, sub_step)
     count, intervals = len(rods.names), (rods.path.moments - 1) * between
-    if count * intervals * rods.start.edges * 32 > MOST_BYTES:
-        raise InputError(given.SOURCE, "--steps-between", f"{count} rods at {intervals + 1} moments are too many to hold",
-                         "give fewer materials, observations or moments")
+    require(count * intervals * rods.start.edges * 32 <= MOST_BYTES, given.SOURCE, "--steps-between",
+            f"{count} rods at {intervals + 1} moments are too many to hold", "give fewer materials, observations or moments")
 
     from doo_ti.motion.predict import predict, predict_moving
 

@@ -19,7 +19,7 @@ from doo_ti.report.landscapes import landscape_picture
 from doo_ti.rod.observations import UNKNOWN_SPACING, Observations
 from doo_ti.rod.start import check_experiment, observation_clamps
 from doo_ti.rod.types import Clamps
-from doo_ti.system.errors import InputError
+from doo_ti.system.errors import InputError, require
 from doo_ti.system.files import read_content
 from doo_ti.system.terminal import busy, in_line
 
@@ -205,9 +205,8 @@ def _task(options: Namespace, source: str) -> Task:
 def _loads(text: str, observations: Observations, density: float | None) -> np.ndarray:
     """(D, M) weights in the package's unit of the bodies that ``--mass`` states: as much as so many mm of rod weigh."""
     count, marks = observations.valid.shape
-    if density is None:
-        raise InputError(given.SOURCE, "--mass", "given without --linear-density", "give that of the rod, or a guess beside "
-                         "--parameters bend,twist,weight")
+    require(density is not None, given.SOURCE, "--mass", "given without --linear-density",
+            "give that of the rod, or a guess beside --parameters bend,twist,weight")
     if text.endswith(".npz"):
         mass = read_npz(Path(text), read_content(Path(text), remedy="name a readable .npz file"), ("mass_g",)).get("mass_g")
         if mass is None or mass.shape != (count, marks) or mass.dtype.kind not in "iuf":
@@ -240,8 +239,7 @@ def _of_run(options: Namespace, run: Path):
         few = landscape.unsound == landscape.unsound.min()
         height = np.where(few, landscape.distance_of_sound, np.nan)
     cells = lowest_cells(experiment.grid, height, options.starts)
-    if not len(cells):
-        raise InputError(run, "distance_mm", "no cell has an error", "look at the rods' status in cells/")
+    require(len(cells), run, "distance_mm", "no cell has an error", "look at the rods' status in cells/")
     thetas = tuple(theta_of_cell(experiment.grid, cell, observations.up) for cell in cells)
     thetas += (common_rod(thetas[0]),)  # the best cells of rods taken for straight may all be wrong in twist
     own = experiment.options

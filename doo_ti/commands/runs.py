@@ -12,7 +12,7 @@ from doo_ti.commands import given, results
 from doo_ti.learning.cross_validation import FACTORS, check_comparable, cross_validate, partition, usual_factors
 from doo_ti.learning.landscape import Landscape, read_landscape
 from doo_ti.learning.score_table import caption, comma_separated, entries, file_stem, markdown, text
-from doo_ti.system.errors import InputError, InterruptedRunError
+from doo_ti.system.errors import InputError, InterruptedRunError, require
 from doo_ti.system.files import write_text
 from doo_ti.system.terminal import busy, in_line
 
@@ -142,8 +142,7 @@ def run_view(options: Namespace) -> int:
     unfinished = path.is_dir() and not (path / RECORDING).exists() and (path / PLAN).exists()
     out, picture = options.out, options.screenshot
     if out is not None:
-        if not unfinished:
-            raise InputError(path, "--out", "given, but there is a recording", "leave --out out, or copy the recording")
+        require(unfinished, path, "--out", "given, but there is a recording", "leave --out out, or copy the recording")
         if out.resolve().is_relative_to(path.resolve()):
             raise InputError(out, "--out", "is inside the run, where only the sweep writes", "name another folder")
         _draw_unfinished(path, out)

@@ -18,7 +18,7 @@ from doo_ti.report.contact import Touched
 from doo_ti.report.motions import save_animation, save_rollout
 from doo_ti.rod.types import Clamp, Status
 from doo_ti.system.arguments import counted
-from doo_ti.system.errors import InputError
+from doo_ti.system.errors import InputError, require
 from doo_ti.system.terminal import busy, in_line, progress, warn
 
 CLAMPS = ("clamp_start", "clamp_end")
@@ -125,9 +125,8 @@ def _recorded(options: Namespace, out: Path, changes: dict, up: np.ndarray) -> _
     theta, surroundings = given.theta(options), given.surroundings(options)
     motion, = loading.recordings(options, [options.source])
     results.refuse_overwriting(out, options.source)
-    if motion.edges != len(theta.rest_length):
-        raise InputError(options.theta, "rest_length_mm", f"{len(theta.rest_length)} edges, {in_line(options.source)} has "
-                         f"{motion.edges}", "give the theta of this rod")
+    require(motion.edges == len(theta.rest_length), options.theta, "rest_length_mm",
+            f"{len(theta.rest_length)} edges, {in_line(options.source)} has {motion.edges}", "give the theta of this rod")
     moving_rods.require_length(options.theta, theta, float(motion.edge_lengths().sum()))
     doubts.warn_of_rod(options.source, theta.rest_length, surroundings)
     own_up = up if options.up is not None else motion.up

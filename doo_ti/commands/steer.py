@@ -21,7 +21,7 @@ from doo_ti.rod.observations import Observations
 from doo_ti.rod.shapes import end_clamps
 from doo_ti.rod.start import check_experiment, observation_clamps
 from doo_ti.rod.types import POSES, Clamp, Clamps, Material, Solution
-from doo_ti.system.errors import InputError, InterruptedRunError
+from doo_ti.system.errors import InputError, InterruptedRunError, require
 from doo_ti.system.files import csv_text, write_text
 from doo_ti.system.terminal import busy, can_record, in_line, progress, warn
 from doo_ti.vision.cameras import Rig
@@ -117,9 +117,8 @@ class SteeredRod:
 
         begin = settled(self.observations, self.clamps, self.material, self.surroundings)
         start = relax(begin, self.material, self.clamps, up=self.observations.up, **self.surroundings.arguments)
-        if not (start.converged & start.stable).all():
-            raise InputError(self.source, "vertices_mm", "observation 0 has no stable equilibrium",
-                             "give a rod that is held within its length" + ", outside the obstacles" * bool(self.surroundings))
+        require((start.converged & start.stable).all(), self.source, "vertices_mm", "observation 0 has no stable equilibrium",
+                "give a rod that is held within its length" + ", outside the obstacles" * bool(self.surroundings))
         return start, end_clamps(start.configuration, Clamp.FRAME, Clamp.FRAME)
 
 
@@ -278,9 +277,8 @@ def _steps(rod: SteeredRod, true: Material, cameras: "VirtualCameras", rig: Rig,
         model, begin = rod.at_rest()
         simulation = Simulation(model.configuration, true, begin, up=up, **around)
         state = simulation.state
-        if not (state.converged & state.stable).all():
-            raise InputError(given.SOURCE, "--true-EI", "the true rod has no stable equilibrium at the start",
-                             "give another, or a rod that is held within its length")
+        require((state.converged & state.stable).all(), given.SOURCE, "--true-EI",
+                "the true rod has no stable equilibrium at the start", "give another, or a rod that is held within its length")
         vertices = state.configuration.vertices[0]
         rig.check_sight(vertices, "the rod at its start")
         if (seeing := sum(bool(camera.sees(vertices).all()) for camera in rig.cameras)) < 2:

@@ -19,7 +19,7 @@ from doo_ti.rod.material import relative_stiffness, stiffness
 from doo_ti.rod.observations import Observations
 from doo_ti.rod.start import check_experiment, observation_clamps
 from doo_ti.rod.types import Clamp
-from doo_ti.system.errors import InputError
+from doo_ti.system.errors import InputError, require
 from doo_ti.system.terminal import in_line
 
 if TYPE_CHECKING:
@@ -109,8 +109,7 @@ def _stamp(run: Path) -> int | None:
 
 
 def _search(options: Namespace, source: str, run: Path) -> _Search:
-    if not os.path.exists(source):
-        raise InputError(source, "file", "no such file", "name a scene or observations")
+    require(os.path.exists(source), source, "file", "no such file", "name a scene or observations")
     if Path(source).suffix == ".toml":
         scene = load_scene(source)
     else:

@@ -13,7 +13,7 @@ from doo_ti.io.toml_file import scene_file
 from doo_ti.rod.observations import Observations
 from doo_ti.rod.start import on_equal_edges
 from doo_ti.system.arguments import counted
-from doo_ti.system.errors import InputError
+from doo_ti.system.errors import InputError, require
 from doo_ti.system.terminal import in_line, progress
 from doo_ti.vision.rig_files import load_rig
 
@@ -63,8 +63,7 @@ def run_convert(options: Namespace) -> int:
         observations = observations.of_marks(kept)
     rows = _rows(options.select, observations.count)
     rows = rows[observations.valid[rows].all(axis=1)] if options.complete else rows
-    if not len(rows):
-        raise InputError(options.observations, "observations", "none is left", "select others, or leave --complete out")
+    require(len(rows), options.observations, "observations", "none is left", "select others, or leave --complete out")
     doubts.warn(observations)
     print(" ".join(loading.rod_line(observations).split()))
     observations = observations.take(rows)
@@ -80,15 +79,13 @@ def _save(out: Path, observations: Observations) -> None:
 
 def _convert_motion(options: Namespace, out: Path) -> int:
     """Curves at the frames of a recording, or of several, to positions_mm (T, V, 3) or (R, T, V, 3) and rate_hz."""
-    if out.suffix != ".npz":
-        raise InputError(given.SOURCE, "OUT", f"suffix {out.suffix!r}", "name a .npz file: a motion has a third axis")
+    require(out.suffix == ".npz", given.SOURCE, "OUT", f"suffix {out.suffix!r}", "name a .npz file: a motion has a third axis")
     source = Path(options.observations)
     found = read_recording(source, options.unit, options.columns, options.rate)
     up = given.world_up(options, found.up)
     frames = _selected(options.select, found.positions.shape[-3])
     positions = found.positions[..., frames, _selected(options.marks, found.positions.shape[-2], "--marks"), :]
-    if not positions.size:
-        raise InputError(source, "positions_mm", "none is left", "select others")
+    require(positions.size, source, "positions_mm", "none is left", "select others")
     rate = found.rate / (frames.step or 1)
     names = {} if found.names is None else {"recording": np.array(found.names)}
     results.save_arrays(out, {"positions_mm": positions, "rate_hz": np.float64(rate), "up": up} | names)
@@ -142,13 +139,11 @@ def _photograph(options: Namespace, scene: Scene) -> None:
     from doo_ti.vision.render import RIG_FILE
 
     folder, look, seed = options.images, _look(options.render or []), options.seed or 0
-    if options.rig is None:
-        raise InputError(given.SOURCE, "--rig", "missing", "name the cameras' file, such as scenes/rig.yaml")
+    require(options.rig is not None, given.SOURCE, "--rig", "missing", "name the cameras' file, such as scenes/rig.yaml")
     results.refuse_overwriting(folder / RIG_FILE, options.rig, option="--images")
     rig, diameter = load_rig(options.rig), options.diameter or DIAMETER_MM
-    if not isinstance(scene.observations, Synthesis):
-        raise InputError(scene.source, "observations", "a file, which does not say how the rods lie between their marks",
-                         "give a scene with [synthesis]")
+    require(isinstance(scene.observations, Synthesis), scene.source, "observations",
+            "a file, which does not say how the rods lie between their marks", "give a scene with [synthesis]")
     from doo_ti.perception.virtual_lab import lab_rods, save_truth
     from doo_ti.vision.render import Photographs, check_diameter, save_photographs
 

@@ -20,7 +20,7 @@ from doo_ti.rod import frames as rotations
 from doo_ti.rod.material import doubt_angle, mm_in
 from doo_ti.rod.types import POSES, Clamps
 from doo_ti.system.arguments import owning, short_repr, typed
-from doo_ti.system.errors import InputError, require_whole
+from doo_ti.system.errors import InputError, require, require_whole
 from doo_ti.system.files import csv_text
 
 SHAPES = {"time_s": (), "start_position_mm": (3,), "end_position_mm": (3,), "start_frame": (3, 3), "end_frame": (3, 3),
@@ -198,8 +198,7 @@ def load_path(path: str | Path, unit: str | None = None, named: Mapping[str, str
     Raises InputError for files that cannot be read or do not describe a path.
     """
     path, given = Path(path), None if unit is None else mm_in(unit, "load_path")
-    if not set(axes) <= TOOL_AXES.keys():
-        raise InputError("load_path", "axes", f"{axes!r}", f"give two of {', '.join(TOOL_AXES)}")
+    require(set(axes) <= TOOL_AXES.keys(), "load_path", "axes", f"{axes!r}", f"give two of {', '.join(TOOL_AXES)}")
     arrays, stated = _read(path, named)
     for key in arrays.keys() & _LENGTHS:
         arrays[key] = arrays[key] * (stated.get(key, 1.0) if given is None else given)
@@ -217,9 +216,8 @@ def load_path(path: str | Path, unit: str | None = None, named: Mapping[str, str
             arrays[f"{end}_frame"] = np.stack([t, m1, np.cross(t, m1)], axis=-1)
         if turn is not None and f"{end}_frame" in arrays:
             arrays[f"{end}_frame"] = turn @ arrays[f"{end}_frame"]
-    if not arrays.keys() - {"time_s"}:
-        raise InputError(path, "end_position_mm", "missing, so nothing moves",
-                         f"give some of {', '.join([*_POSES, 'end_rotation_deg'])}")
+    require(arrays.keys() - {"time_s"}, path, "end_position_mm", "missing, so nothing moves",
+            f"give some of {', '.join([*_POSES, 'end_rotation_deg'])}")
     count = len(next(iter(arrays.values())))
     poses = {key.removesuffix("_mm"): arrays[key][:, None] for key in _POSES if key in arrays}
     rotation = np.radians(arrays["end_rotation_deg"])[:, None] if "end_rotation_deg" in arrays else None
@@ -232,8 +230,7 @@ def _read(path: Path, named: Mapping[str, str] | None) -> tuple[dict[str, np.nda
     if path.suffix == ".csv":
         return read_poses(path, named)
     arrays = read_numbers(path, (*SHAPES, "positions_mm", "rate_hz"))
-    if named is not None:
-        raise InputError(path, "columns", "an npz has keys", "leave them out")
+    require(named is None, path, "columns", "an npz has keys", "leave them out")
     if "positions_mm" not in arrays:
         count = max((len(value) if value.ndim else 0 for key, value in arrays.items() if key in SHAPES), default=0)
         for key in arrays.keys() & SHAPES.keys():

@@ -25,7 +25,7 @@ from doo_ti.rod.material import mm_in
 from doo_ti.rod.observations import KEYS, LENGTHS, Observations
 from doo_ti.rod.types import unit_up
 from doo_ti.system.arguments import typed
-from doo_ti.system.errors import InputError, real_array
+from doo_ti.system.errors import InputError, real_array, require
 from doo_ti.system.files import MOST_BYTES, MOST_TEXT_BYTES, read_content, write_whole
 from doo_ti.system.terminal import in_line
 
@@ -40,9 +40,8 @@ MOST_LEFT_OUT = 10  # frames of a recording in all for each that is there
 
 def checked_suffix(path: Path, known: tuple[str, ...] = OWN) -> None:
     """Raise InputError unless the suffix of ``path`` is ``known``."""
-    if path.suffix not in known:
-        raise InputError(path, "file", f"suffix {path.suffix!r} is not a format of observations",
-                         f"use one of {', '.join(known)}")
+    require(path.suffix in known, path, "file", f"suffix {path.suffix!r} is not a format of observations",
+            f"use one of {', '.join(known)}")
 
 
 def read_keys(path: Path, columns=None) -> tuple[bytes, dict[str, np.ndarray]]:
@@ -57,8 +56,7 @@ def read_keys(path: Path, columns=None) -> tuple[bytes, dict[str, np.ndarray]]:
         curves = read(path, content, _names(path, columns))
         return content, curves.keys() | {"unit": curves.unit}
     if path.suffix == ".npz":
-        if columns is not None:
-            raise InputError(path, "columns", "an npz has keys", "leave `columns` out")
+        require(columns is None, path, "columns", "an npz has keys", "leave `columns` out")
         keys = read_npz(path, content, (*KEYS_IN_TABLES, LABELS, *NAMES))
         lists = [keys.pop(key) for key in NAMES if key in keys]
         names = next((one for one in lists if one.dtype.kind == "U" and one.ndim == 1), None)
@@ -82,8 +80,7 @@ def _opened(path: Path) -> tuple[bytes, Callable[..., Curves] | None]:
         checked_suffix(path, (*OWN, *OF_OTHERS))
     most = MOST_CSV_BYTES if path.suffix == ".csv" else MOST_TEXT_BYTES if path.suffix in OF_OTHERS else MOST_BYTES
     content = read_content(path, most)
-    if not content:
-        raise InputError(path, "file", "0 bytes, the file is empty", "write the observations again")
+    require(content, path, "file", "0 bytes, the file is empty", "write the observations again")
     if path.suffix != ".csv":
         return content, OF_OTHERS.get(path.suffix)
     readers = ((is_motive, read_motive), (is_nexus, read_nexus), (is_polyline, read_polylines))
@@ -131,8 +128,7 @@ def load_observations(path: str | os.PathLike[str], up: ArrayLike | None = None,
         if unit is not None:
             factor = mm_in(unit, "load_observations") / keys.get("unit", 1.0)
             values |= {name: value * factor for name, value in values.items() if name in LENGTHS and value.dtype.kind != "b"}
-    if "vertices_mm" not in keys:
-        raise InputError(path, "vertices_mm", "the key is missing", "store the vertices as vertices_mm (D, V, 3)")
+    require("vertices_mm" in keys, path, "vertices_mm", "the key is missing", "store the vertices as vertices_mm (D, V, 3)")
     if without_lost:
         values = _without_lost(values)
     observations = Observations(**values, name=in_line(path.stem), source=str(path), sha256=hashlib.sha256(content).hexdigest())
@@ -214,8 +210,7 @@ def read_recording(path: str | Path, unit: str | None = None, columns: Mapping[s
     """
     path, stated = Path(path), None if unit is None else mm_in(unit, "RecordedMotion.load")
     if path.suffix == ".npz":
-        if columns is not None:
-            raise InputError(path, "columns", "the file has no columns", "leave `columns` out")
+        require(columns is None, path, "columns", "the file has no columns", "leave `columns` out")
         return _of_arrays(path, rate, 1.0 if stated is None else stated)
     curves = read_curves(path, columns)
     if curves is not None and curves.rate is not None:
@@ -223,8 +218,7 @@ def read_recording(path: str | Path, unit: str | None = None, columns: Mapping[s
         labels = np.arange(len(curves.points)) if curves.labels is None else curves.labels
         frames, points = _every_frame(path, labels, curves.points)
         return MotionRecording(factor * points, rate or curves.rate, up=np.array(curves.up), frames=frames)
-    if rate is None:
-        raise InputError(path, "rate", "the file states no frames per second", "give `rate`")
+    require(rate is not None, path, "rate", "the file states no frames per second", "give `rate`")
     observations = load_observations(path, None, unit, columns)
     frames, positions = _every_frame(path, observations.labels, observations.vertices)
     return MotionRecording(positions, rate, up=observations.up, frames=frames)
@@ -252,8 +246,7 @@ def _of_arrays(path: Path, rate: float | None, unit: float) -> MotionRecording:
     if rate is not None:
         found["rate_hz"] = np.float64(rate)
     for key in ("positions_mm", "rate_hz"):
-        if key not in found:
-            raise InputError(path, key, "missing", "give positions_mm (R, T, V, 3) or (T, V, 3) and rate_hz")
+        require(key in found, path, key, "missing", "give positions_mm (R, T, V, 3) or (T, V, 3) and rate_hz")
         found[key] = real_array(path, key, found[key], "store real numbers")
     positions, names = unit * found["positions_mm"].astype(np.float64), found.get("recording")
     if found["rate_hz"].size != 1:

@@ -19,7 +19,7 @@ from typing import BinaryIO
 import numpy as np
 
 from doo_ti.io.arrays import AXES, LENGTH_ENDINGS, check_unpacked, first_line, frame_columns, given_columns, listed, read_csv
-from doo_ti.system.errors import InputError
+from doo_ti.system.errors import InputError, require
 
 # Key of the npz format: what a value of it belongs to, the shape of the value, the names of its columns.
 KEYS_IN_TABLES = {
@@ -122,8 +122,7 @@ def _named(path: Path, names, renamed: dict[str, str]) -> dict[str, tuple[str, f
             found |= {name: (given[column], factor) for name, column in zip(_POSITION, own, strict=True) if column in given}
     has = f"the file has {listed(names)}"
     for name, column in renamed.items():
-        if column not in names:
-            raise InputError(path, column, "the column is missing", has)
+        require(column in names, path, column, "the column is missing", has)
         found[f"{name}_mm" if name in AXES else name] = (column, 1.0)
     missing = next((name for name in _POSITION if name not in found), None)
     number = next((given[name] for name in OTHER_NUMBERS if name in given), None)
@@ -131,9 +130,8 @@ def _named(path: Path, names, renamed: dict[str, str]) -> dict[str, tuple[str, f
         mark = next((given[name] for name in OTHER_MARKS if name in given and "vertex" not in found), None)
         raise InputError(path, "observation", f"the column is missing, and {number} seems to number the observations",
                          f"give --columns observation={number}{'' if mark is None else f',vertex={mark}'}")
-    if missing is not None:
-        raise InputError(path, missing, "the column is missing", f"give the columns observation, vertex, "
-                         f"{', '.join(_POSITION)}, or name yours with `columns`; {has}")
+    require(missing is None, path, missing, "the column is missing",
+            f"give the columns observation, vertex, {', '.join(_POSITION)}, or name yours with `columns`; {has}")
     return found
 
 
@@ -158,10 +156,8 @@ def _parquet_columns(path: Path, content: bytes, renamed) -> tuple[dict[str, np.
         file = pyarrow.parquet.ParquetFile(pyarrow.BufferReader(content))
         metadata, names = file.metadata, file.schema_arrow.names
         twice = next((name for name, count in Counter(names).items() if count > 1), None)
-        if twice is not None:
-            raise InputError(path, twice, "the column is there twice", "keep one of them")
-        if metadata.num_rows == 0:
-            raise InputError(path, "file", "holds no rows", "write one row per vertex")
+        require(twice is None, path, twice, "the column is there twice", "keep one of them")
+        require(metadata.num_rows != 0, path, "file", "holds no rows", "write one row per vertex")
         check_unpacked(path, content, max(8 * metadata.num_rows * metadata.num_columns, sum(
             metadata.row_group(group).total_byte_size for group in range(metadata.num_row_groups))))
         named = _named(path, names, renamed)

@@ -24,7 +24,7 @@ from doo_ti.io.toml_file import (
 )
 from doo_ti.rod.grid import UNITS, Grid, parse_axes
 from doo_ti.rod.types import LARGEST, Clamp, Material
-from doo_ti.system.errors import InputError
+from doo_ti.system.errors import InputError, require
 
 OBJECTIVES = ("static", "dynamic")
 PRECISIONS = ("f32", "f64", "mixed")
@@ -200,8 +200,7 @@ def load_scene(path: str | os.PathLike[str]) -> Scene:
             if key not in known:
                 raise unknown_key(path, f"synthesis.{key}", known)
         for key in ("bend", "twist"):
-            if key not in file.synthesis:
-                raise InputError(path, f"synthesis.{key}", "missing", f"give the rod's {key} in mm³")
+            require(key in file.synthesis, path, f"synthesis.{key}", "missing", f"give the rod's {key} in mm³")
         observations = Synthesis(**file.synthesis, name=name, source=str(path))
     else:
         observations = path.parent / checked(path, "observations", file.observations, _ObservationsTable).file

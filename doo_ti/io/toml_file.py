@@ -21,7 +21,7 @@ import numpy as np
 from doo_ti.rod import frames as rotations
 from doo_ti.rod.material import bend_or_twist, force_in_newton, weight_per_length
 from doo_ti.rod.types import LARGEST, Configuration
-from doo_ti.system.errors import InputError
+from doo_ti.system.errors import InputError, require
 from doo_ti.system.files import MOST_TEXT_BYTES, read_content
 from doo_ti.system.terminal import warn
 
@@ -190,8 +190,7 @@ def instants(source, rate: float, duration: float, most: int, called: str) -> np
     """(1 + steps,) s: ``rate`` instants a second from zero to ``duration``, the values of ``rate_hz`` and ``duration_s`` in the
     file ``source``. Raises InputError, which calls them ``called``, for fewer than one step or more than ``most``."""
     steps = round(duration * rate)
-    if not 1 <= steps <= most:
-        raise InputError(source, "duration_s", f"{steps} {called} at rate_hz", f"give 1 to {most:,}")
+    require(1 <= steps <= most, source, "duration_s", f"{steps} {called} at rate_hz", f"give 1 to {most:,}")
     return np.arange(steps + 1) / rate
 
 
@@ -271,9 +270,8 @@ def end_paths(source, key: str, rows: list, start: Configuration, time: np.ndarr
     held = {}
     for end, edge in (("start", 0), ("end", -1)):
         length = np.linalg.norm(paths[f"{end}_direction"], axis=-1, keepdims=True)
-        if not (length > 0).all():
-            raise InputError(source, key, f"{end}_direction reverses from one moment to the next",
-                             "give a moment with a direction in between")
+        require((length > 0).all(), source, key, f"{end}_direction reverses from one moment to the next",
+                "give a moment with a direction in between")
         along = np.concatenate([frames[edge, None, :, 0], paths[f"{end}_direction"] / length])
         along = _transported(along, frames[edge, :, 1])[1:]
         held[end] = rotations.turned_about_tangent(along, 2 * np.pi * paths[f"{end}_turns"])
