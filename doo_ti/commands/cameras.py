@@ -50,9 +50,6 @@ def declare(add) -> None:
     given.add_up(parser, "0,0,1 in the rig's world")
 
 
-# --- calibrate -----------------------------------------------------------------------------------------------------------
-
-
 def run_calibrate(options: Namespace) -> int:
     """Corners in all images, then intrinsics and extrinsics; writes the rig and prints how well each image agrees."""
     board = parse_board(options.board)
@@ -155,9 +152,6 @@ def _calibration_lines(views: Views, calibration: Calibration, summary: dict) ->
     if summary["orientation"]:
         lines.append(f"orientation: {summary['orientation']}")
     return lines
-
-
-# --- triangulate ---------------------------------------------------------------------------------------------------------
 
 
 def run_triangulate(options: Namespace) -> int:

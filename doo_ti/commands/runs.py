@@ -51,9 +51,6 @@ def declare(add) -> None:
                    "save a picture of the viewer, without a display (needs a Vulkan driver: docs/recording.md)")
 
 
-# --- learn ---------------------------------------------------------------------------------------------------------------
-
-
 def run_learn(options: Namespace) -> int:
     """The best Θ of each run with the ranges that fit nearly as well (§III-E), then leave-one-out tables of all runs."""
     out, distances = options.out, options.end_distances or ()
@@ -99,9 +96,6 @@ def _best_of(landscape: Landscape) -> dict:
             "status": status, **landscape.competition}
 
 
-# --- figures -------------------------------------------------------------------------------------------------------------
-
-
 def run_figures(options: Namespace) -> int:
     """Pictures of the landscapes, a recording with one step per cell, and for ribbons one of each regime."""
     given.require_recorder("figures")
@@ -128,9 +122,6 @@ def run_figures(options: Namespace) -> int:
     results.report(options, {"runs": names, "cells": cells, "recorded_cells": recorded,
                              "recorded_values": study.recorded_values, "files": files}, lines)
     return 0
-
-
-# --- view ----------------------------------------------------------------------------------------------------------------
 
 
 def run_view(options: Namespace) -> int:

@@ -85,10 +85,8 @@ def tracking_task(options: Namespace) -> TrackingTask:
 
 def load_frames(path: Path, rig, clicks_of=lambda rig: {}):
     """(ImageSets of the frames in their order, (T,) s or None). Frames without a seed keep the one before; ``clicks_of`` a rig
-    are pixels in the first frame by the numbers of its cameras.
-
-    Raises InputError naming line and column for whatever is missing or not a number, and for missing images.
-    """
+    are pixels in the first frame by the numbers of its cameras. Raises InputError naming line and column for whatever is
+    missing or not a number, and for missing images."""
     if path.suffix.lower() in VIDEOS:
         raise InputError(path, "file", "a video", "save its frames as images, and give a table that names them")
     form = f"frame, one per camera, and {SEEDS}"

@@ -49,10 +49,8 @@ def frame_columns(name: str) -> tuple[str, ...]:
 
 
 def read_npz(path: Path, content: bytes, known: tuple[str, ...]) -> dict[str, np.ndarray]:
-    """The arrays of the ``known`` keys from the bytes of an npz file, never unpickled; ``path`` names it in messages.
-
-    Raises InputError for whatever is not an npz of plain arrays, and for a misspelt key.
-    """
+    """The arrays of the ``known`` keys from the bytes of an npz file, never unpickled; ``path`` names it in messages. Raises
+    InputError for whatever is not an npz of plain arrays, and for a misspelt key."""
     remedy = "write it with numpy.savez from plain numeric arrays"
     require(content[:6] != b"\x93NUMPY", path, "file", "holds one bare array, not named ones", remedy)
     try:

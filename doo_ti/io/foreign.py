@@ -181,10 +181,8 @@ class DamagedError(ValueError):
 
 
 def read_opencv_yaml(text: str):
-    """The values of one document: dictionaries, lists, text, numbers, and matrices as arrays (rows, cols) in f64.
-
-    Raises DamagedError for text that is not such YAML, and for damaged matrices. No other kind of object is created.
-    """
+    """The values of one document: dictionaries, lists, text, numbers, and matrices as arrays (rows, cols) in f64. Raises
+    DamagedError for text that is not such YAML, and for damaged matrices. No other kind of object is created."""
     import yaml
 
     class Loader(yaml.SafeLoader):

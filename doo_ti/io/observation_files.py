@@ -159,10 +159,8 @@ def _without_lost(values: dict) -> dict:
 
 @typed
 def save_observations(path: str | os.PathLike[str], observations: Observations) -> None:
-    """Write ``observations`` to an ``.npz``, ``.csv`` or ``.parquet`` file, whole or not at all.
-
-    Raises InputError for another suffix.
-    """
+    """Write ``observations`` to an ``.npz``, ``.csv`` or ``.parquet`` file, whole or not at all. Raises InputError for another
+    suffix."""
     path = Path(path)
     checked_suffix(path)
     keys = {KEYS[field.name]: getattr(observations, field.name) for field in fields(observations) if field.name in KEYS}

@@ -130,9 +130,7 @@ class Synthesis:
         return Material(np.array(self.bend), self.twist, self.weight)
 
     def _require(self, name: str, holds: bool, remedy: str) -> None:
-        if not holds:
-            value = getattr(self, name)
-            raise InputError(self.source, f"synthesis.{name}", f"{value!r} is out of range", f"give {remedy}")
+        require(holds, self.source, f"synthesis.{name}", f"{getattr(self, name)!r} is out of range", f"give {remedy}")
 
 
 @dataclass(frozen=True)
@@ -209,12 +207,9 @@ def load_scene(path: str | os.PathLike[str]) -> Scene:
             raise unknown_key(path, f"grid.{axis}", UNITS)
     axes, bend_12 = parse_axes({axis: str(checked(path, f"grid.{axis}", value, float | str))
                                 for axis, value in file.grid.items()}, str(path))
+    start, end = (None if clamp is None else Clamp[clamp.upper()] for clamp in (file.clamp_start, file.clamp_end))
     return Scene(
         name=name, observations=observations, grid=Grid(tuple(axes), bend_12, str(path)), frame_weight=file.frame_weight_mm,
-        clamp_start=_clamp(file.clamp_start), clamp_end=_clamp(file.clamp_end), objective=file.objective,
+        clamp_start=start, clamp_end=end, objective=file.objective,
         pairs=path.parent / file.pairs if file.pairs else None, roll_hypotheses=file.roll_hypotheses or file.spins,
         precision=file.precision, source=str(path), sha256=hashlib.sha256(content).hexdigest())
-
-
-def _clamp(name: str | None) -> Clamp | None:
-    return None if name is None else Clamp[name.upper()]

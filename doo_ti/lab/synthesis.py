@@ -91,10 +91,8 @@ def synthesise(synthesis: Synthesis) -> Observations:
 
 
 def fine_vertices(synthesis: Synthesis) -> np.ndarray:
-    """(R, V_fine, 3) mm: the rods themselves behind :func:`synthesise`, clips included, ``fine_edge_mm`` to an edge.
-
-    Raises InterruptedRunError as that does.
-    """
+    """(R, V_fine, 3) mm: the rods themselves behind :func:`synthesise`, clips included, ``fine_edge_mm`` to an edge. Raises
+    InterruptedRunError as that does."""
     return _rods(synthesis, np.random.default_rng(synthesis.seed)).vertices
 
 
