@@ -129,7 +129,7 @@ def summary_lines(summary: dict) -> list[str]:
     rivals = ", ".join(bend for bend in dict.fromkeys(bends) if bend != own)
     curved = _curved(summary)
     unround = next((one["option"] for one in summary["advice"] if one["meaning"] == UNROUND and one["gain"] > DECISIVE), None)
-    interval = interval_text if summary["converged"] else _without_interval
+    interval = partial(interval_text, summary["converged"])
     elsewhere = "at more cells (--starts N)" if summary["of_run"] else "at the run of a sweep (doo-ti sweep first)"
     return [
         f"{in_line(summary['material'])}: {summary['rods_used']} of {summary['observations']} observations, "
@@ -174,10 +174,13 @@ def _curved(summary: dict) -> bool:
     return summary["rest_curvature_per_mm"]["root_mean_square"] >= STRAIGHT
 
 
-def interval_text(value: float, low: float | None, high: float | None, unit: str) -> str:
-    """A value with its interval; bounded on one side only that bound; else that it is not determined."""
+def interval_text(converged: bool, value: float, low: float | None, high: float | None, unit: str) -> str:
+    """A value with its interval; bounded on one side only that bound; else that it is not determined. Where a fit has stopped
+    the value alone: its interval would be that of another place."""
     from doo_ti.refinement.estimate import WIDE_FACTOR
 
+    if not converged:
+        return f"{value:.4g} {unit}".rstrip() + "  (no interval: not converged)"
     if low is None and high is None:
         return "not determined"
     if high is None:
@@ -186,11 +189,6 @@ def interval_text(value: float, low: float | None, high: float | None, unit: str
         return f"at most {high:.3g} {unit}".rstrip()
     wide = f"  (wide: more than a factor of {WIDE_FACTOR:g})" if low > 0 and high > WIDE_FACTOR * low else ""
     return f"{value:.4g} ({low:.4g} .. {high:.4g}) {unit}".rstrip() + wide
-
-
-def _without_interval(value: float, low: float | None, high: float | None, unit: str) -> str:
-    """The value where a fit has stopped; its interval would be that of another place."""
-    return f"{value:.4g} {unit}".rstrip() + "  (no interval: not converged)"
 
 
 def _adequacy_lines(summary: dict) -> list[str]:
