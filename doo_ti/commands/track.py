@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from doo_ti.commands import doubts, given, image_options, results
+from doo_ti.commands.image_options import SeenRods
 from doo_ti.commands.perceive import LEAST_SIGMA_MM, sigma_with_length
 from doo_ti.io.arrays import read_csv
 from doo_ti.io.motion_file import load_path
@@ -25,15 +26,6 @@ if TYPE_CHECKING:
 MOST_LISTED = 30
 VIDEOS = (".avi", ".mkv", ".mov", ".mp4", ".mpg", ".webm")
 LEAST_SHOWN = 0.01  # px: smaller errors are less than the noise of the smoothed images
-
-
-@dataclass(frozen=True)
-class TrackingTask(image_options.SeenRods):
-    """The inputs of tracking: T frames with a seed for each, or with clicks in some, and the T − 1 motions of the far clamp
-    between them, if known."""
-
-    time: np.ndarray | None
-    far: list | None  # of Motion
 
 
 def declare(add) -> None:
@@ -53,11 +45,13 @@ def declare(add) -> None:
 def run(options: Namespace) -> int:
     out = options.out
     results.refuse_overwriting(out, options.frames, options.motion, options.rest_length)
-    task = tracking_task(options)
-    rest_length, length_range, found, problem = _tracked(options, task)
+    task, time = image_options.seen_rods(options, "tracked", lambda rig: load_frames(
+        Path(options.frames), rig, lambda rig: image_options.clicked(options, rig)))
+    motions = None if options.motion is None else _far_motions(Path(options.motion), task.sets.count)
+    rest_length, length_range, found, problem = _tracked(options, task, motions)
     doubts.warn_of_axes(options, task.sets.rig)
     image_options.warn_of_length(options, rest_length.sum())
-    result = _arrays(task, rest_length, length_range, found)
+    result = _arrays(task, time, rest_length, length_range, found)
     results.save_arrays(out, result)
     if problem is not None:
         raise InterruptedRunError(f"{problem}; {len(found)} of {task.sets.count} frames are kept in {out}; the same command "
@@ -73,14 +67,6 @@ def run(options: Namespace) -> int:
     summary = _summary(task, found, result, written)
     results.report(options, summary, lambda: _lines(summary))
     return 0 if np.isfinite(result["energy_vis"]).any() else 1
-
-
-def tracking_task(options: Namespace) -> TrackingTask:
-    """Raises InputError naming the option or file at fault."""
-    seen, time = image_options.seen_rods(options, "tracked", lambda rig: load_frames(
-        Path(options.frames), rig, lambda rig: image_options.clicked(options, rig)))
-    far = None if options.motion is None else _far_motions(Path(options.motion), seen.sets.count)
-    return TrackingTask(**vars(seen), time=time, far=far)
 
 
 def load_frames(path: Path, rig, clicks_of=lambda rig: {}):
@@ -137,9 +123,9 @@ class _Start:
     direction: np.ndarray
 
 
-def _tracked(options: Namespace, task: TrackingTask) -> tuple[np.ndarray, np.ndarray, list, str | None]:
+def _tracked(options: Namespace, task: SeenRods, motions: list | None) -> tuple[np.ndarray, np.ndarray, list, str | None]:
     """(E,) mm, (2,) mm between which their sum is, NaN where it is given, the tracked frames, and the error that ended
-    tracking, or None. An error before the first frame is raised."""
+    tracking, or None. An error before the first frame is raised. ``motions`` are those of :func:`_far_motions`, if known."""
     from doo_ti.perception.perceive import PerceptionVerdict
     from doo_ti.perception.tracking import Tracker
 
@@ -158,7 +144,7 @@ def _tracked(options: Namespace, task: TrackingTask) -> tuple[np.ndarray, np.nda
                         length_range = np.clip(thread.range[0], task.length_bounds.least, task.length_bounds.most)
                     tracker = Tracker(frames.rig, rest_length, task.material, up=task.up, surroundings=task.surroundings,
                                       length_range=length_range)
-                far = None if task.far is None or row == 0 else task.far[row - 1]
+                far = None if motions is None or row == 0 else motions[row - 1]
                 sigma.append(0.0 if frames.point is not None else
                              float(np.hypot(start.sigma, _off_thread(frames.rig, detected, start.point))))
                 frame = tracker.see(detected, start.point, start.direction, far, sigma[-1])
@@ -201,7 +187,7 @@ def _off_thread(rig, detected: list, point: np.ndarray) -> float:
     return second if np.isfinite(second) else 0.0
 
 
-def _begun(task: TrackingTask, row: int, detected: list, before: _Start | None, known: np.ndarray | None
+def _begun(task: SeenRods, row: int, detected: list, before: _Start | None, known: np.ndarray | None
            ) -> tuple[_Start, "WholeThreads | None"]:
     """The start of a frame, and the thread from there on; None where that need not be known. Where nothing was
     detected at a click it is that of the frame ``before``; else it is near the last one ``known`` to be right. Raises
@@ -231,11 +217,12 @@ def _begun(task: TrackingTask, row: int, detected: list, before: _Start | None, 
     return _Start(point, sigma, thread.direction[0]), thread
 
 
-def _arrays(task: TrackingTask, rest_length: np.ndarray, length_range: np.ndarray, found: list) -> dict[str, np.ndarray]:
-    """The arrays of the file; docs/commands/track.md."""
+def _arrays(task: SeenRods, time: np.ndarray | None, rest_length: np.ndarray, length_range: np.ndarray, found: list
+            ) -> dict[str, np.ndarray]:
+    """The arrays of the file; docs/commands/track.md. ``time`` (T,) s of the frames, if known."""
     fields = {"vertices_mm": "vertices", "energy_vis": "energy_vis", "camera_error_px": "camera_error", "status": "status",
             "stable": "stable", "how": "how", "verdict": "verdict"}
-    time = {} if task.time is None else {"time_s": task.time[: len(found)]}
+    time = {} if time is None else {"time_s": time[: len(found)]}
     sigma = sigma_with_length(np.array([frame.sigma for frame in found]), length_range[None], task.sets.point is None)
     return {
         "name": np.array(task.sets.names[: len(found)]), **time, "rest_length_mm": rest_length,
@@ -245,7 +232,7 @@ def _arrays(task: TrackingTask, rest_length: np.ndarray, length_range: np.ndarra
     }
 
 
-def _summary(task: TrackingTask, found: list, result: dict, written: list[Path]) -> dict:
+def _summary(task: SeenRods, found: list, result: dict, written: list[Path]) -> dict:
     from doo_ti.perception.perceive import CERTAIN_MM, PerceptionVerdict
     from doo_ti.perception.tracking import How
 

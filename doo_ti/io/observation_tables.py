@@ -24,15 +24,11 @@ from doo_ti.system.errors import InputError, require
 # Key of the npz format: what a value of it belongs to, the shape of the value, the names of its columns.
 KEYS_IN_TABLES = {
     "vertices_mm": ("vertex", (3,), tuple(f"{axis}_mm" for axis in AXES)),
-    "valid": ("vertex", (), ("valid",)),
-    "sigma_mm": ("vertex", (), ("sigma_mm",)),
+    **{key: ("vertex", (), (key,)) for key in ("valid", "sigma_mm")},
     "rest_length_mm": ("edge", (), ("rest_length_mm",)),
     "frames": ("edge", (3, 3), frame_columns("frame")),
-    "end_distance_mm": ("observation", (), ("end_distance_mm",)),
-    "end_rotation_deg": ("observation", (), ("end_rotation_deg",)),
-    "total_twist_deg": ("observation", (), ("total_twist_deg",)),
-    "start_frame": ("observation", (3, 3), frame_columns("start_frame")),
-    "end_frame": ("observation", (3, 3), frame_columns("end_frame")),
+    **{key: ("observation", (), (key,)) for key in ("end_distance_mm", "end_rotation_deg", "total_twist_deg")},
+    **{key: ("observation", (3, 3), frame_columns(key)) for key in ("start_frame", "end_frame")},
     **{f"{end}_quaternion": ("observation", (4,), tuple(f"{end}_q{part}" for part in "wxyz")) for end in ("start", "end")},
     "up": ("observation", (3,), tuple(f"up_{axis}" for axis in AXES)),
     "spacing_error": ("observation", (), ("spacing_error",)),
