@@ -15,7 +15,7 @@ from importlib import import_module
 from typing import NoReturn
 
 from doo_ti import __version__
-from doo_ti.commands.help_text import hidden, nearest, overview
+from doo_ti.commands.help_text import ALWAYS, FIRST, nearest, overview
 from doo_ti.io.toml_file import scene_file
 from doo_ti.system.errors import InputError, InterruptedRunError
 from doo_ti.system.runtime import check_architecture
@@ -62,7 +62,8 @@ class _Parser(argparse.ArgumentParser):
         """The help, of a command with many options with those that matter most, unless ``whole`` has been set."""
         optional = [action for action in self._actions if action.option_strings and not action.required]
         names = [action.option_strings[-1] for action in optional if action.help != argparse.SUPPRESS]
-        left_out = [] if self.whole else hidden(self.prog.split()[-1], names)
+        first = FIRST.get(self.prog.split()[-1])
+        left_out = [] if self.whole or first is None else [name for name in names if name not in (*ALWAYS, *first)]
         kept, groups, epilog = [action.help for action in optional], self._action_groups, self.epilog
         for action in optional:
             if action.option_strings[-1] in left_out:

@@ -228,7 +228,7 @@ class LengthBounds:
 @dataclass(frozen=True)
 class SeenRods:
     """Rods in images, the options of :func:`add_seen_rod` and :func:`add_thread`, checked as far as possible before images are
-    read; what the commands are to make of them is in subclasses."""
+    read."""
 
     sets: object  # ImageSets, of a video its frames
     rest_length: np.ndarray | None  # None: that of the thread in the images, within ``length_bounds``
@@ -260,28 +260,13 @@ def seen_rods(options: Namespace, which: str, load: Callable[[Rig], tuple[ImageS
     return seen, beside
 
 
-@dataclass(frozen=True)
-class PerceptionTask(SeenRods):
-    """The inputs of a perception."""
-
-    search: object  # PerceptionOptions
-    truth: np.ndarray | None
-    recorded: int
-
-
-def perception_task(options: Namespace) -> PerceptionTask:
-    """Raises InputError naming the option or file at fault."""
+def rods_of_sets(options: Namespace) -> tuple[SeenRods, np.ndarray | None]:
+    """The rods of ``perceive``, and (A, V, 3) mm where they truly are, if ``--truth`` says so."""
     def load(rig: Rig) -> tuple[ImageSets, np.ndarray | None]:
         sets = _sets(options, rig)
         return sets, _truth(options, sets.names)
 
-    seen, truth = seen_rods(options, "perceived", load, options.detector)
-
-    from doo_ti.perception.perceive import PerceptionOptions
-
-    chosen = {"nu": options.nu, "hypotheses": options.hypotheses, "evidence": options.evidence}
-    search = PerceptionOptions(**{name: value for name, value in chosen.items() if value is not None})
-    return PerceptionTask(**vars(seen), search=search, truth=truth, recorded=0 if options.no_recording else options.recorded)
+    return seen_rods(options, "perceived", load, options.detector)
 
 
 def _sets(options: Namespace, rig):
