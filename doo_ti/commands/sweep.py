@@ -62,7 +62,6 @@ class _Search:
     options: "SweepOptions"
     pairs: Pairs | None
     run: Path
-    density: float | None  # linear density in g/m
 
 
 def run_sweep(options: Namespace) -> int:
@@ -84,13 +83,13 @@ def run_sweep(options: Namespace) -> int:
     for search in searches:
         before = _stamp(search.run)
         summary = sweep(search.run, search.observations, search.grid, options=search.options, pairs=search.pairs,
-                        command=options.words, linear_density=search.density)
+                        command=options.words, linear_density=options.linear_density)
         summaries.append(summary)
         finished_before = _stamp(search.run) == before
         if not finished_before:
             relaxed.append(summary)
         if not options.json:
-            print("\n".join(_lines(search, summary, finished_before)))
+            print("\n".join(_lines(search, summary, options.linear_density, finished_before)))
         doubts.say(search.observations.source, loading.up_text(summary.get("other_up")))
     if options.json:
         print(json.dumps(results.plain(summaries if len(options.sources) > 1 else summaries[0])))
@@ -140,16 +139,16 @@ def _search(options: Namespace, source: str, run: Path) -> _Search:
         precision=options.precision or scene.precision, objective=objective,
         spins=scene.roll_hypotheses if options.spins is None else options.spins, seed=seed or 0,
         surroundings=given.surroundings(options), workers=options.workers, scheduler=options.scheduler)
-    return _Search(scene, observations, grid, chosen, pairs, run, options.linear_density)
+    return _Search(scene, observations, grid, chosen, pairs, run)
 
 
-def _lines(search: _Search, summary: dict, finished_before: bool) -> list[str]:
+def _lines(search: _Search, summary: dict, density: float | None, finished_before: bool) -> list[str]:
     (first, *rest), best, grid, spins = results.run_lines(summary), summary["best"], search.grid, search.options.spins
     clamps = observation_clamps(search.observations, search.options.clamp_start, search.options.clamp_end)
     rolls = grid.is_isotropic and Clamp.FRAME > min(clamps.start, clamps.end) and not spins
     names = {"EI": "bend_1"} if grid.is_isotropic else {"EI_1": "bend_1", "EI_2": "bend_2"}
-    physical = search.density is not None and best["weight"] > 0 and ", ".join(
-        f"{symbol} {stiffness(relative_stiffness(best[name], best['weight']), search.density):.4g} N m²"
+    physical = density is not None and best["weight"] > 0 and ", ".join(
+        f"{symbol} {stiffness(relative_stiffness(best[name], best['weight']), density):.4g} N m²"
         for symbol, name in (names | ({} if rolls else {"GJ": "twist"})).items())
     varied = {axis.name for axis in grid.axes if len(axis) > 1}
     ratios = "weight" in varied and len(varied) > 1 and not any(axis.name == "twist" and len(axis) == 1 for axis in grid.axes)

@@ -17,7 +17,7 @@ import rerun.blueprint as blueprint
 from doo_ti.record import viewer
 from doo_ti.report import canvas
 from doo_ti.report.canvas import GridView, Observed, grid_view
-from doo_ti.report.landscapes import landscape_image
+from doo_ti.report.landscapes import draw_landscape
 from doo_ti.report.plane import LandscapePlane
 from doo_ti.rod.grid import UNITS, Interval
 from doo_ti.rod.types import Status
@@ -70,7 +70,8 @@ def record_sweep(path: str | os.PathLike[str], *, run_id: str, name: str, observ
         _log_rods(stream, grid, trajectory, observed.names, with_trials=plane is not None)
         _log_curves(stream, trajectory)
         if plane is not None:
-            stream.log("landscape/picture", rerun.Image(landscape_image(plane, title=name, region=region)), static=True)
+            picture = canvas.pixels(draw_landscape(plane, name, region))
+            stream.log("landscape/picture", rerun.Image(picture), static=True)
             log_surface(stream, plane)
             log_cells(stream, plane)
         text = _summary(name, intervals, observed.names, trajectory, properties)

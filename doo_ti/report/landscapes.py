@@ -33,11 +33,6 @@ def landscape_picture(path_or_buffer, plane: LandscapePlane, *, title: str, regi
     canvas.save_figure(draw_landscape(plane, title, region, newton_per_bend), path_or_buffer)
 
 
-def landscape_image(plane: LandscapePlane, *, title: str, region: np.ndarray | None = None) -> np.ndarray:
-    """The same drawing as (1200, 1600, 3) uint8."""
-    return canvas.pixels(draw_landscape(plane, title, region))
-
-
 def landscapes_picture(path_or_buffer, rows: list[list[LandscapePanel]], *, title: str, marks: str = "",
                        relative: bool = False) -> None:
     """Write rows of panels as one PNG.

@@ -8,10 +8,19 @@ from PIL import Image
 
 from doo_ti import Observations, Observed, Plane, Surroundings
 from doo_ti.report import motions
-from doo_ti.report.canvas import direction, distance_colors, fit_titles, grid_view, landscape_colors, new_figure, quantity
+from doo_ti.report.canvas import (
+    direction,
+    distance_colors,
+    fit_titles,
+    grid_view,
+    landscape_colors,
+    new_figure,
+    pixels,
+    quantity,
+)
 from doo_ti.report.contact import Touched
 from doo_ti.report.figures import angle_curves_picture
-from doo_ti.report.landscapes import LandscapePanel, draw_landscape, landscape_image, landscape_picture, landscapes_picture
+from doo_ti.report.landscapes import LandscapePanel, draw_landscape, landscape_picture, landscapes_picture
 from doo_ti.report.motions import MovingRods, _view, motions_picture, save_rollout
 from doo_ti.report.plane import LandscapePlane, cell_edges, valley_cells
 from tests.record import runs
@@ -35,7 +44,7 @@ def test_picture_and_image_are_one_drawing(tmp_path):
     landscape_picture(tmp_path / "landscape.png", runs.plane(), title="made up")
     buffer = io.BytesIO()
     landscape_picture(buffer, runs.plane(), title="made up")
-    image = landscape_image(runs.plane(), title="made up")
+    image = pixels(draw_landscape(runs.plane(), "made up"))
     assert image.shape == (1200, 1600, 3) and image.dtype == np.uint8
     for source in (tmp_path / "landscape.png", buffer):
         np.testing.assert_array_equal(np.asarray(Image.open(source).convert("RGB")), image)
@@ -70,7 +79,7 @@ def test_cells_not_evaluated_are_grey_and_unfinished_ones_hatched():
     axes, values = run()
 
     def image(values, unfinished=None):
-        return landscape_image(LandscapePlane.of(axes, values, (2, 1, 0), unfinished), title="made up")
+        return pixels(draw_landscape(LandscapePlane.of(axes, values, (2, 1, 0), unfinished), "made up"))
 
     def grey(image):
         return (image == GREY).all(axis=-1).sum()
