@@ -65,12 +65,11 @@ def run_learn(options: Namespace) -> int:
     with busy("cross-validating"):
         tables = {by: [cross_validate(one) for one in found] for by, found in partitions.items()}
     every = [scores for found in tables.values() for scores in found]
-    summary = results.plain({"runs": [_best_of(landscape) for landscape in landscapes],
-                     "tables": [{
-                         "caption": caption(scores), "by": scores.partition.by, "within": scores.partition.within,
-                         "unlabelled": scores.partition.unlabelled, "training_error_mm": dict(zip(
-                             (part.label for part in scores.partition.parts), scores.training, strict=True)),
-                         "entries": entries(scores)} for scores in every]})
+    summary = {"runs": [_best_of(landscape) for landscape in landscapes], "tables": [{
+        "caption": caption(scores), "by": scores.partition.by, "within": scores.partition.within,
+        "unlabelled": scores.partition.unlabelled,
+        "training_error_mm": dict(zip((part.label for part in scores.partition.parts), scores.training, strict=True)),
+        "entries": entries(scores)} for scores in every]}
     if out is not None:
         results.save_json(out / "learn.json", summary)
         for by, found in tables.items():

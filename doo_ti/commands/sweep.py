@@ -166,7 +166,7 @@ def _lines(search: _Search, summary: dict, density: float | None, finished_befor
         recipe, material = search.scene.observations, search.scene.observations.material()
         (first_bend, mixed), (_, second) = material.bend[0, 0]
         true = results.theta_text({"bend_1": first_bend, "bend_2": second, "bend_12": mixed, "twist": material.twist[0, 0],
-                           "weight": material.weight[0]}, material.is_isotropic)
+                                   "weight": material.weight[0]}, material.is_isotropic)
         lines.append(f"  true Θ      {true} (the virtual lab's, seed {recipe.seed})")
     lines.append(f"  {'finished before in' if finished_before else 'written to'} {in_line(search.run)}")
     if search.options.objective == "static" and not search.options.spins and not search.options.surroundings:
