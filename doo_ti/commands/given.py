@@ -271,8 +271,7 @@ def numbers(form: str | None = None, each: Reader = number("a number, between co
     """``30,54,78``: numbers between commas, as many as in the ``form``, such as X,Y,Z, where there is one."""
     def read(option: str, text: str) -> tuple[float, ...]:
         found = tuple(each(option, part) for part in text.split(","))
-        if form is not None and len(found) != form.count(",") + 1:
-            raise InputError(SOURCE, option, f"{len(found)} numbers", f"give {form}")
+        require(form is None or len(found) == form.count(",") + 1, SOURCE, option, f"{len(found)} numbers", f"give {form}")
         return found
     return read
 
@@ -310,8 +309,7 @@ def output_file(option: str, text: str | Path, suffixes: tuple[str, ...] = ()) -
                          f"name a file that ends in {' or '.join(suffixes)}")
     if option == "--recording":
         require_recorder(option)
-    if os.path.isdir(path):
-        raise InputError(SOURCE, option, f"{path} is a folder", "name a file")
+    require(not os.path.isdir(path), SOURCE, option, f"{path} is a folder", "name a file")
     if len(os.fsencode(path.name)) > LONGEST_NAME:
         raise InputError(SOURCE, option, f"{path.name[:20]}… is too long a name", f"name a file in {LONGEST_NAME} bytes")
     _check_folder(path.parent, option)

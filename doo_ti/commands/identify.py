@@ -11,7 +11,7 @@ from doo_ti.dynamics.recorded import RecordedMotion
 from doo_ti.io.observation_files import load_observations
 from doo_ti.report.contact import Touched
 from doo_ti.report.motions import save_rollout
-from doo_ti.system.errors import InputError
+from doo_ti.system.errors import InputError, require
 from doo_ti.system.terminal import in_line, progress
 
 MOST_LISTED = 8
@@ -60,9 +60,8 @@ def run(options: Namespace) -> int:
     motion = RecordedMotion.together(loading.recordings(options, options.motions), options.motions)
     up = given.world_up(options, motion.up)
     stills = _stills(options, motion, surroundings)
-    if options.folds == 1 or options.folds > motion.count:
-        raise InputError(given.SOURCE, "--folds", f"{options.folds} for {motion.count} recordings",
-                         "give 0, or from 2 to their number")
+    require(options.folds != 1 and options.folds <= motion.count, given.SOURCE, "--folds",
+            f"{options.folds} for {motion.count} recordings", "give 0, or from 2 to their number")
     require_clear_grippers(motion, guesses(motion, chosen, options.bend, up)[0], chosen)
     doubts.warn_of_rod(options.motions[0], motion.edge_lengths(), surroundings)
     with progress(keep=True) as bar:

@@ -98,9 +98,8 @@ def by_camera(option: str, texts: Iterable[str] | None, names: tuple[str, ...], 
     for text in texts or ():
         camera, _, numbers = text.rpartition(":")
         values = each(option, numbers)
-        if camera not in names or len(values) != form.count(",") + 1:
-            raise InputError(given.SOURCE, option, f"{text!r}",
-                             f"give CAMERA:{form}; the rig has {', '.join(map(in_line, names))}")
+        require(camera in names and len(values) == form.count(",") + 1, given.SOURCE, option, f"{text!r}",
+                f"give CAMERA:{form}; the rig has {', '.join(map(in_line, names))}")
         require(camera not in found, given.SOURCE, option, f"given twice for {in_line(camera)}", "give it once for each camera")
         found[camera] = values
     return found
@@ -275,8 +274,7 @@ def _sets(options: Namespace, rig):
               "--seed-pixel": options.seed_pixel}
     if options.sets is not None:
         both = next((name for name, value in single.items() if value), None)
-        if both:
-            raise InputError(given.SOURCE, both, "given beside --sets", "give either")
+        require(not both, given.SOURCE, both, "given beside --sets", "give either")
         return load_sets(options.sets, rig)
     require(options.images, given.SOURCE, "IMAGE", "missing", "give --sets, or images with a seed")
     if bool(options.seed_point) == bool(options.seed_pixel):

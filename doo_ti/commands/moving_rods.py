@@ -110,9 +110,8 @@ def held_rods(options: Namespace, out: Path, kinds: tuple[Clamp | None, Clamp | 
                   (("start_frame", path.start_frame), ("end_frame", path.end_frame))
                   if value is not None and getattr(observations, name) is None and value.shape[1] in (1, observations.count)}
         observations = replace(observations, **frames)
-    if path.count not in (1, observations.count) and observations.count > 1:
-        raise InputError(options.motion, "positions_mm", f"{path.count} motions for {observations.count} observations",
-                         "give one motion, or one for each observation")
+    require(path.count in (1, observations.count) or observations.count <= 1, options.motion, "positions_mm",
+            f"{path.count} motions for {observations.count} observations", "give one motion, or one for each observation")
     if observations.count < path.count:
         observations = observations.take(np.zeros(path.count, dtype=np.int64))
     clamps = observation_clamps(observations, *kinds)
@@ -192,9 +191,8 @@ def _path(options: Namespace, up: np.ndarray) -> ClampPath:
     if options.motion_columns is not None:
         parts = [part.partition("=") for part in options.motion_columns.split(",")]
         named = {name.strip(): column.strip() for name, _, column in parts}
-        if not all(named.values()) or not named.keys() <= set(NAMED):
-            raise InputError(given.SOURCE, "--motion-columns", f"{options.motion_columns!r}",
-                             f"give NAME=COLUMN for some of {', '.join(NAMED)}")
+        require(all(named.values()) and named.keys() <= set(NAMED), given.SOURCE, "--motion-columns",
+                f"{options.motion_columns!r}", f"give NAME=COLUMN for some of {', '.join(NAMED)}")
     axes = axes * 2 if len(axes) == 1 else axes
     if len(axes) != 2 or not set(axes) <= TOOL_AXES.keys():
         known = ", ".join(TOOL_AXES)

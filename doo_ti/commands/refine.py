@@ -230,9 +230,8 @@ def _of_run(options: Namespace, run: Path):
     given.refuse(options, (*given.MATERIAL, *loading.OF_OBSERVATIONS, "obstacles", "radius", "mass"),
                  f"given, but {run} is the run of a sweep", "leave it out, or name a file of observations")
     experiment, landscape = read_experiment(run), read_landscape(run)
-    if experiment.options.objective != "static" or experiment.options.spins:
-        raise InputError(run, "objective", "a sweep of Eq. 3, or with roll hypotheses",
-                         "name a static sweep without --roll-hypotheses")
+    require(experiment.options.objective == "static" and not experiment.options.spins, run, "objective",
+            "a sweep of Eq. 3, or with roll hypotheses", "name a static sweep without --roll-hypotheses")
     observations = experiment.observations if options.up is None else replace(experiment.observations, up=options.up)
     height = landscape.mean_distance
     if np.isnan(height).all():  # no cell has all its rods certified: start from those that have most of them

@@ -138,8 +138,7 @@ def steered_rod(options: Namespace, written: Iterable[Path]) -> SteeredRod:
     """What :func:`add_steered` describes. Raises InputError for whatever is wrong with it, and for files to be ``written`` that
     are read."""
     surroundings = given.surroundings(options)
-    if surroundings.rub:
-        raise InputError(options.obstacles, "friction", "given, but steered rods know none", "leave it out")
+    require(not surroundings.rub, options.obstacles, "friction", "given, but steered rods know none", "leave it out")
     grid = given.round_cell(options, "steered")
     observations = loading.load(options, options.start).take(np.zeros(1, dtype=np.int64))
     for out in written:

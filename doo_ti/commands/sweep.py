@@ -71,8 +71,7 @@ def run_sweep(options: Namespace) -> int:
         if len(set(names)) < len(names):
             twice = max(names, key=names.count)
             raise InputError(given.SOURCE, "SOURCE", f"two of the name {twice!r}", "name the scenes or files apart")
-        if os.path.exists(out / "cells"):
-            raise InputError(out, "--out", "holds the sweep of a single source", "name another folder")
+        require(not os.path.exists(out / "cells"), out, "--out", "holds the sweep of a single source", "name another folder")
         searches = [replace(search, run=out / name) for search, name in zip(searches, names, strict=True)]
     for search in searches:
         doubts.warn(search.observations, search.options.surroundings, **loading.stated(options))

@@ -16,7 +16,7 @@ from doo_ti.io.arrays import read_csv
 from doo_ti.io.motion_file import load_path
 from doo_ti.rod.types import Clamp, Clamps
 from doo_ti.system.arguments import counted
-from doo_ti.system.errors import InputError, InterruptedRunError
+from doo_ti.system.errors import InputError, InterruptedRunError, require
 from doo_ti.system.terminal import can_record, in_line, progress, warn
 from doo_ti.vision.images import SEED, SEEDS, ImageSets, cameras_in, clicks_in, images_in, seed_columns
 
@@ -88,8 +88,7 @@ def load_frames(path: Path, rig, clicks_of=lambda rig: {}):
         table.refuse(name, np.array([not os.path.isfile(images[camera]) for images in paths]), "is not a file",
                      "name an image, relative to this file")
     time = table.numbers("time_s") if "time_s" in table.columns else None
-    if time is not None and not (np.diff(time) > 0).all():
-        raise InputError(path, "time_s", "does not rise", "give frames in their order")
+    require(time is None or (np.diff(time) > 0).all(), path, "time_s", "does not rise", "give frames in their order")
     names, rig = tuple(table.columns["frame"]), rig.only(cameras) if cameras else rig
     if seed == SEED:
         seeded = np.array([row == 0 or any(table.columns[key][row] for key in SEED) for row in range(table.count)])

@@ -246,8 +246,7 @@ def read_csv(path: Path, needed: tuple[str, ...], optional: tuple[str, ...] | No
         require(name in names, path, name, "the column is missing", remedy)
     for name, count in Counter(names).items():
         require(count <= 1, path, name or "header", f"the column {name!r} is there twice", "keep one of them")
-        if optional is not None and name not in (*needed, *optional):
-            raise InputError(path, name or "header", f"unknown column {name!r}", remedy)
+        require(optional is None or name in (*needed, *optional), path, name or "header", f"unknown column {name!r}", remedy)
     require(len(rows) >= 2, path, "file", "holds no rows", "write one line or more below the names of the columns")
     for line, row in rows[1:]:
         if len(row) > len(names) or len(row) < len(names) and not short_lines:

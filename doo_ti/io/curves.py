@@ -220,6 +220,5 @@ def _rate(path: Path, decimal: str, line: int, cell: str) -> float | None:
 def _number(path: Path, decimal: str, line: int, cell: str) -> float:
     """The number in a cell, NaN where it is empty."""
     value = number_in(cell or "nan", decimal)
-    if np.isinf(value):
-        raise InputError(path, f"line {line}", f"{cell!r} is not a finite number", REMEDY)
+    require(not np.isinf(value), path, f"line {line}", f"{cell!r} is not a finite number", REMEDY)
     return value

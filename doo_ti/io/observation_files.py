@@ -88,9 +88,8 @@ def _opened(path: Path) -> tuple[bytes, Callable[..., Curves] | None]:
 
 
 def _names(path: Path, columns) -> list[str] | None:
-    if isinstance(columns, Mapping):
-        raise InputError(path, "columns", "the file is not a table of vertices",
-                         "name its markers or curves in their order along the rod: A,B,C")
+    require(not isinstance(columns, Mapping), path, "columns", "the file is not a table of vertices",
+            "name its markers or curves in their order along the rod: A,B,C")
     return None if columns is None else list(columns)
 
 
@@ -98,9 +97,8 @@ def _renamed(path: Path, columns) -> dict[str, str]:
     if columns is None:
         return {}
     unknown = [name for name in columns if name not in RENAMED]
-    if unknown or not isinstance(columns, Mapping):
-        raise InputError(path, "columns", f"{','.join(unknown or columns)!r}",
-                         f"give NAME=COLUMN for some of {', '.join(RENAMED)}")
+    require(not unknown and isinstance(columns, Mapping), path, "columns", f"{','.join(unknown or columns)!r}",
+            f"give NAME=COLUMN for some of {', '.join(RENAMED)}")
     return dict(columns)
 
 

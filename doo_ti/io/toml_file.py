@@ -158,9 +158,8 @@ def stated_material(source, key: str, keys: MaterialKeys, unit_density: float | 
     """
     physical = keys.EI is not None
     for name, other in (("bend", "EI"), ("weight", "EI"), ("twist", "EI"), ("GJ", "bend")):
-        if getattr(keys, name) is not None and getattr(keys, other) is not None:
-            raise InputError(source, f"{key}.{name}", f"given beside {other}", "give bend, twist and weight, or EI and GJ with "
-                             "linear_density")
+        require(getattr(keys, name) is None or getattr(keys, other) is None, source, f"{key}.{name}", f"given beside {other}",
+                "give bend, twist and weight, or EI and GJ with linear_density")
     if not physical and keys.bend is None:
         raise InputError(source, f"{key}.{'EI' if keys.GJ is not None else 'bend'}", "missing",
                          "give bend, or EI with linear_density")
