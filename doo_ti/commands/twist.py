@@ -85,7 +85,11 @@ def run_twist(options: Namespace) -> int:
         shared = {name: result[name][result["group"]] for name in ("phi_deg", "least_mm", "verdict", "low_deg", "high_deg")}
         write_whole(out, lambda file: write_columns(file, {"observation": observations.labels, **own, **shared}))
     if options.picture is not None:
-        _draw(options.picture, observations, estimate)
+        names = [f"{_rows(observations, estimate, k)}: {np.degrees(estimate.phi[k]):.0f}°, {_word(estimate.verdict[k])}"
+                 for k in range(min(MOST_CURVES, len(estimate.phi)))]
+        angle_curves_picture(
+            options.picture, result["phi_grid_deg"], estimate.objective, phi=result["phi_deg"], low=result["low_deg"],
+            high=result["high_deg"], names=names, unsound=estimate.unsound, title=f"{observations.name}: Eq. 4")
     summary = _summary(observations, grid, estimate, result, out)
     results.report(options, summary, lambda: _lines(observations, grid, estimate, summary))
     return 0 if np.isfinite(estimate.phi).any() else 1
@@ -106,14 +110,6 @@ def _rows(observations: Observations, estimate, group: int) -> str:
     """``observations 6 to 11``."""
     rows = observations.labels[estimate.group == group]
     return f"observation {rows[0]}" if len(rows) == 1 else f"observations {rows[0]} to {rows[-1]}"
-
-
-def _draw(path: Path, observations: Observations, estimate) -> None:
-    names = [f"{_rows(observations, estimate, k)}: {np.degrees(estimate.phi[k]):.0f}°, {_word(estimate.verdict[k])}"
-             for k in range(min(MOST_CURVES, len(estimate.phi)))]
-    angle_curves_picture(
-        path, np.degrees(estimate.angles), estimate.objective, phi=np.degrees(estimate.phi), low=np.degrees(estimate.low),
-        high=np.degrees(estimate.high), names=names, unsound=estimate.unsound, title=f"{observations.name}: Eq. 4")
 
 
 def _word(verdict: int) -> str:

@@ -36,7 +36,15 @@ def record_motion(path, *, run_id: str, name: str, rods: MovingRods, curves: dic
         viewer.log_up(stream, "world", rods.basis[2])
         stream.log("world/rods", rerun.LineStrips3D.from_fields(
             radii=viewer.points(2.0), labels=rods.names, show_labels=count <= MOST_CURVES), static=True)
-        _log_held(stream, rods, when)
+        if rods.grippers is not None:
+            moments, _, _, *line = rods.grippers.shape
+            stream.log("world/grippers", rerun.LineStrips3D.from_fields(
+                colors=[GRIPPER], radii=viewer.points(3.5)), static=True)
+            viewer.send_rods(stream, "world/grippers", when, rods.grippers.reshape(moments, -1, *line))
+        if rods.marks is not None:
+            present = rods.marks[np.isfinite(rods.marks).all(axis=-1)].astype(np.float32)
+            marks = rerun.Points3D(present, colors=viewer.OBSERVED, radii=viewer.points(1.4))
+            stream.log("world/observations/marks", marks, static=True)
         if rods.touched is not None:
             _log_obstacles(stream, when, rods.touched, np.zeros((1, 3)))
             _log_forces(stream, when, rods.touched, np.zeros((count, 3)))
@@ -59,18 +67,6 @@ def _log_curves(stream, entity: str, when: list[rerun.TimeColumn], values: np.nd
     stream.log(entity, rerun.SeriesLines(names=names, widths=[width] * count, colors=colors), static=True)
     stream.send_columns(entity, when, rerun.Scalars.columns(
         scalars=np.ascontiguousarray(values).ravel()).partition([count] * moments))
-
-
-def _log_held(stream, rods: MovingRods, when: list[rerun.TimeColumn]) -> None:
-    """The grippers over time, and the marks, where they are known."""
-    if rods.grippers is not None:
-        moments, _, _, *line = rods.grippers.shape
-        stream.log("world/grippers", rerun.LineStrips3D.from_fields(colors=[GRIPPER], radii=viewer.points(3.5)), static=True)
-        viewer.send_rods(stream, "world/grippers", when, rods.grippers.reshape(moments, -1, *line))
-    if rods.marks is not None:
-        present = rods.marks[np.isfinite(rods.marks).all(axis=-1)].astype(np.float32)
-        marks = rerun.Points3D(present, colors=viewer.OBSERVED, radii=viewer.points(1.4))
-        stream.log("world/observations/marks", marks, static=True)
 
 
 def _motion_layout(rods: MovingRods, titles: list[str]) -> blueprint.Blueprint:
