@@ -45,9 +45,7 @@ def record_motion(path, *, run_id: str, name: str, rods: MovingRods, curves: dic
             present = rods.marks[np.isfinite(rods.marks).all(axis=-1)].astype(np.float32)
             marks = rerun.Points3D(present, colors=viewer.OBSERVED, radii=viewer.points(1.4))
             stream.log("world/observations/marks", marks, static=True)
-        if rods.touched is not None:
-            _log_obstacles(stream, when, rods.touched, np.zeros((1, 3)))
-            _log_forces(stream, when, rods.touched, np.zeros((count, 3)))
+        _log_contact(stream, when, rods.touched, np.zeros((count, 3)))
         own = distinct_colors(count)
         colors = np.where(rods.sound[..., None], own, np.uint8(viewer.FAILED)).astype(np.uint8)
         viewer.send_rods(stream, "world/rods", when, rods.vertices, colors=colors)
@@ -171,9 +169,7 @@ def record_rollout(path: Path, name: str, names: list[str], positions: np.ndarra
             stream.log(f"world/{entity}", rerun.LineStrips3D.from_fields(
                 colors=color, radii=radius, labels=names[:MOST_RODS], show_labels=count <= 12), static=True)
             viewer.send_rods(stream, f"world/{entity}", when, (shown + grid.offset[:, None, None]).swapaxes(0, 1))
-        if touched is not None:
-            _log_obstacles(stream, when, touched, grid.offset)
-            _log_forces(stream, when, touched, grid.offset)
+        _log_contact(stream, when, touched, grid.offset)
         if seen is not None:
             _log_curves(stream, "curves/error", when, np.abs(rods - seen).mean(axis=(2, 3)).T, names[:MOST_RODS],
                         distinct_colors(count), 1.0)
@@ -210,8 +206,7 @@ def record_group(path: Path, seen: GroupMotion) -> None:
             stream.log("world/ties", rerun.Points3D.from_fields(colors=TIE, radii=_thick(thickest, 1.3, 2.0)), static=True)
             stream.send_columns("world/ties", when, rerun.Points3D.columns(
                 positions=seen.vertices[:, seen.tied].reshape(-1, 3)).partition([len(seen.tied)] * frames))
-        _log_obstacles(stream, when, seen.touched, np.zeros((1, 3)))
-        _log_forces(stream, when, seen.touched, np.zeros((1, 3)))
+        _log_contact(stream, when, seen.touched, np.zeros((1, 3)))
 
 
 def _thick(radius: float | None, share: float, points: float):
@@ -219,14 +214,15 @@ def _thick(radius: float | None, share: float, points: float):
     return viewer.points(points) if radius is None else share * radius
 
 
-# --- contact -------------------------------------------------------------------------------------------------------------
-
 OBSTACLE, FORCE = (130, 138, 150, 255), (110, 160, 255)
 
 
-def _log_obstacles(stream, when: list, touched: Touched, offset: np.ndarray) -> None:
-    """The obstacles around each rod, moved by the rod's ``offset`` (R, 3); those that move at the T times ``when``."""
-    for row, move in enumerate(offset):
+def _log_contact(stream, when: list, touched: Touched | None, offset: np.ndarray) -> None:
+    """The obstacles around each rod, once for rods in one place, and contact forces as arrows at the T times ``when``, moved by
+    the rods' ``offset`` (R, 3)."""
+    if touched is None:
+        return
+    for row, move in enumerate(offset if offset.any() else offset[:1]):
         for number, (given, _, vertices, triangles, normals) in enumerate(touched.meshes(row, 0)):
             own, corners = f"world/obstacles/{row}/{number}", vertices[triangles]
             across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
@@ -241,10 +237,6 @@ def _log_obstacles(stream, when: list, touched: Touched, offset: np.ndarray) -> 
                 vertex_positions=corners, vertex_normals=np.repeat(normals, 3, axis=0), albedo_factor=OBSTACLE,
                 # A table does not hide from below what lies on it.
                 face_rendering=rerun.components.MeshFaceRendering.Front), static=True)
-
-
-def _log_forces(stream, when: list, touched: Touched, offset: np.ndarray) -> None:
-    """Contact forces on the rods that have an ``offset`` (R, 3), as arrows at the T times ``when``."""
     places, vectors, counts = [], [], []
     for frame in range(touched.force.shape[1]):
         found = [touched.arrows(row, frame) for row in range(len(offset))]
