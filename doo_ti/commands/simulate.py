@@ -137,18 +137,17 @@ def _recorded(options: Namespace, out: Path, changes: dict, up: np.ndarray) -> _
         rollouts = Rollouts.of(motion, theta, stepping, IdentifyOptions.end, surroundings, options.smoothing, finer=True)
         positions, status, energies, found = rollouts.simulated(
             theta, progress=lambda done: bar.update(task, completed=motion.count * done))
+    contact = found.contact_force, found.friction_work, found.touch
     return _Simulated(Path(options.source).stem, list(motion.names), positions, status, motion.rate, theta.up,
                       motion.positions, tuple(motion.glitches()), motion.alone, energies, found.substeps,
                       None if stepping.tolerance is None else found.error, stepping.tolerance, surroundings,
-                      _contact(surroundings, positions, found.contact_force, found.friction_work, found.touch),
+                      _contact(surroundings, positions, *contact) if surroundings else {},
                       given.newtons(options, np.full(motion.count, 1.0 - theta.marker_share)), found.end_force)
 
 
 def _contact(surroundings: Surroundings, positions: np.ndarray, force, work, touch) -> dict[str, np.ndarray]:
-    """What is written of contact, with obstacles: at every frame forces (R, T, V, 3), smallest gaps and work of friction
+    """What is written of contact with ``surroundings``: at every frame forces (R, T, V, 3), smallest gaps and work of friction
     (R, T), and what sticks and slips (R, T, V)."""
-    if not surroundings:
-        return {}
     gap = surroundings.smallest_gaps(np.swapaxes(positions, 0, 1)).T
     return {"contact_force": force, "smallest_gap_mm": gap, "friction_work": work, "touch": touch}
 
