@@ -135,15 +135,8 @@ class Synthesis:
 
 @dataclass(frozen=True)
 class Scene:
-    """One experiment: observations, or how to simulate them, and the search over Θ.
-
-    observations  the file, or the recipe
-    frame_weight  w_m of Eq. 1, mm
-    clamp_start, clamp_end  Clamp, or None: the frame where it is given, else the tangent
-    objective     "static", Eq. 2, or "dynamic", Eq. 3
-    pairs         the file of Eq. 3's pairs, or None: from the labels
-    roll_hypotheses  angles, evenly over a turn, to try for a clamp whose roll was not measured; 0: it rolls freely
-    """
+    """One experiment: the file of its observations, or how to simulate them, and the search over Θ, as docs/scenes.md has its
+    keys. Clamps that are None hold the frame where it is given, else the tangent; ``frame_weight`` is w_m of Eq. 1, mm."""
 
     name: str
     observations: Path | Synthesis
