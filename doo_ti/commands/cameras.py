@@ -32,8 +32,7 @@ def declare(add) -> None:
     parser.add_argument("--world", choices=WORLDS, default=WORLDS[0],
                         help="axes of the world (default first-board, those of the first view's board: x along a row, y up the "
                         "page, z out of it)")
-    parser.add_argument("--distortion", type=int, choices=COEFFICIENTS, default=4,
-                        help="how many of k1, k2, p1, p2, k3 to fit (default 4)")
+    given.add(parser, "--distortion", None, COEFFICIENTS, "how many of k1, k2, p1, p2, k3 to fit", 4, type=int)
     image_options.add_orientation(parser, "ignore; RIG.yaml keeps it")
     parser = given.command(add, "triangulate", run_triangulate, "turn labelled marks in images into observations")
     parser.add_argument("marks", metavar="MARKS.csv",

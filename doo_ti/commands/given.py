@@ -98,17 +98,17 @@ def add_frame_weight(parser: ArgumentParser, default: str) -> None:
 def add_relaxation(parser: ArgumentParser, precision: str | None) -> None:
     add_clamps(parser)
     add_frame_weight(parser, "0" if precision else "the scene's, else 0")
-    parser.add_argument("--solver", choices=("newton", "descent"), default="newton",
-                        help="newton, or the paper's gradient descent (default newton)")
+    add(parser, "--solver", None, ("newton", "descent"), "newton, or the paper's gradient descent", "newton")
     stated = precision or "the scene's, else mixed"
     parser.add_argument("--precision", choices=PRECISIONS, default=precision,
                         help=f"floating-point arithmetic (default: {stated})")
 
 
-def add(parser, option: str, metavar: str, kind: Callable, meaning: str, default=None, **more) -> None:
-    """An option with a value of that ``kind``, the ``type`` of argparse; its ``default`` is stated."""
+def add(parser, option: str, metavar: str | None, kind: Callable | tuple, meaning: str, default=None, **more) -> None:
+    """An option with a value of that ``kind``, the ``type`` of argparse, or one of several words; its ``default`` is stated."""
     stated = "" if default is None else f" (default {default if isinstance(default, str) else f'{default:g}'})"
-    parser.add_argument(option, metavar=metavar, type=kind, help=meaning + stated, default=default, **more)
+    taken = {"choices": kind} if isinstance(kind, tuple) else {"metavar": metavar, "type": kind}
+    parser.add_argument(option, help=meaning + stated, default=default, **taken, **more)
 
 
 def add_file(parser, option: str, metavar: str, meaning: str, **more) -> None:

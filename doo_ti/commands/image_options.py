@@ -48,7 +48,7 @@ def add_rig(parser: ArgumentParser) -> None:
               "arbitrary (default mm)")
     parser.add_argument("--rig-poses", choices=tuple(POSES), help="what R and t in RIG are: world to camera, camera to world, "
                         "or R and the camera's centre; axes of OpenCV (z forward) or OpenGL (y up) (default opencv)")
-    parser.add_argument("--rig-lens", choices=LENSES, default="opencv", help="model of the lenses in RIG (default opencv)")
+    given.add(parser, "--rig-lens", None, LENSES, "model of the lenses in RIG", "opencv")
     given.add(parser, "--image-size", "WIDTH,HEIGHT", given.numbers("WIDTH,HEIGHT", given.FROM_ZERO), "size of the images, "
               "where RIG does not state it")
     add_orientation(parser, "RIG's, else ignore")

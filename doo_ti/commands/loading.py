@@ -54,8 +54,7 @@ def add_rest_length(group) -> None:
 
 def add_files(group, of: str) -> None:
     """How the files ``of`` some option or argument state the marks."""
-    group.add_argument("--unit", choices=tuple(UNITS_IN_MM), help=f"unit of all lengths in {of} (default: as the file states, "
-                       "else mm)")
+    given.add(group, "--unit", None, tuple(UNITS_IN_MM), f"unit of all lengths in {of} (default: as the file states, else mm)")
     given.add(group, "--columns", "x=NAME,…|A,B,C", _columns, "columns of a table that hold x, y, z, observation, "
               "vertex; of other files, names of markers or curves in their order along the rod")
 

@@ -47,8 +47,7 @@ def declare(add) -> None:
     given.add_clamps(parser)
     loading.add_loading(parser, "OBS and PATH")
     given.add_obstacles(parser, "with friction, where an obstacle has any, from one step to the next")
-    parser.add_argument("--precision", choices=PRECISIONS, default="mixed",
-                        help="floating-point arithmetic of the stored steps (default mixed)")
+    given.add(parser, "--precision", None, PRECISIONS, "floating-point arithmetic of the stored steps", "mixed")
     given.add_file(parser, "--picture", "F.png", "also draw the motion (default: no)")
     given.add_file(parser, "--recording", "F.rrd", "also record it for the viewer (default: no)")
 

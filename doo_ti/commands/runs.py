@@ -34,8 +34,7 @@ def declare(add) -> None:
     parser = given.command(add, "figures", run_figures, "draw and record the landscapes of finished sweeps")
     parser.add_argument("runs", nargs="+", metavar="RUN", help="folders that sweep wrote, over one grid")
     given.add(parser, "--out", "FOLDER", given.folder, "folder to write", required=True)
-    parser.add_argument("--by", choices=("end-distance",), dest="by_end_distance",
-                        help="also draw a landscape for each end distance")
+    given.add(parser, "--by", None, ("end-distance",), "also draw a landscape for each end distance", dest="by_end_distance")
     parser.add_argument("--cells", metavar="all|N", type=given.either({"all": None}, given.COUNT), default=MOST_CELLS,
                         help=f"how many cells of the grid to record, evenly spread (default: at most {MOST_CELLS})")
     given.add(parser, "--observation", "N", given.FROM_ZERO, "the observation whose ribbon is drawn in each regime (default: "

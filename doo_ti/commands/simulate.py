@@ -12,6 +12,7 @@ from doo_ti.contact.surroundings import Surroundings
 from doo_ti.contact.touch import Touch
 from doo_ti.dynamics.parameters import Stepping
 from doo_ti.io.pose_table import holds_poses
+from doo_ti.io.scene import PRECISIONS
 from doo_ti.io.toml_file import scene_file
 from doo_ti.learning.landscape import status_counts
 from doo_ti.report.contact import Touched
@@ -64,10 +65,8 @@ def declare(add) -> None:
     given.add(parser, "--tolerance", "MM", given.LENGTH, "estimate the error of the time steps, and double them for each rod "
               "until it is below this in all frames (default: fixed steps, no estimate)")
     given.add(parser, "--most-substeps", "N", given.whole(2, 4096), "with --tolerance, at most (default 64)")
-    parser.add_argument("--scheme", choices=("bdf2", "euler"),
-                        help="of time steps: second order, or backward Euler (default bdf2)")
-    parser.add_argument("--precision", choices=("f32", "f64", "mixed"), default="f64",
-                        help="arithmetic; mixed: f32, and f64 for rods that it cannot finish (default f64)")
+    given.add(parser, "--scheme", None, ("bdf2", "euler"), "of time steps: second order, or backward Euler (default bdf2)")
+    given.add(parser, "--precision", None, PRECISIONS, "arithmetic; mixed: f32, and f64 for rods that it cannot finish", "f64")
     parser.add_argument("--quasi-static", action="store_true", help="without inertia and drag: every step is an equilibrium "
                         "(default: as the scene says)")
     given.add_material(parser, "of rods that observations show: a number or LO:HI:N[:log|:lin]; a RECORDING needs --theta",
