@@ -6,14 +6,12 @@ from pathlib import Path
 
 import numpy as np
 
-from doo_ti.commands import image_options
-from doo_ti.commands import options as given
-from doo_ti.commands.results import refuse_overwriting, report, shortened, status_text
+from doo_ti.commands import given, image_options, results
 from doo_ti.io.observation_files import save_observations
 from doo_ti.rod.material import UNITS_IN_MM
 from doo_ti.rod.observations import Observations
 from doo_ti.system.arguments import counted
-from doo_ti.system.errors import InputError
+from doo_ti.system.errors import InputError, require
 from doo_ti.system.terminal import in_line, progress, warn
 from doo_ti.vision.board import FORMS, Views, find_sightings, parse_board, read_views
 from doo_ti.vision.calibration import COEFFICIENTS, WORLDS, Calibration, calibrate
@@ -34,14 +32,13 @@ def declare(add) -> None:
     parser.add_argument("--world", choices=WORLDS, default=WORLDS[0],
                         help="axes of the world (default first-board, those of the first view's board: x along a row, y up the "
                         "page, z out of it)")
-    parser.add_argument("--distortion", type=int, choices=COEFFICIENTS, default=4,
-                        help="how many of k1, k2, p1, p2, k3 to fit (default 4)")
+    given.add(parser, "--distortion", None, COEFFICIENTS, "how many of k1, k2, p1, p2, k3 to fit", 4, type=int)
     image_options.add_orientation(parser, "ignore; RIG.yaml keeps it")
     parser = given.command(add, "triangulate", run_triangulate, "turn labelled marks in images into observations")
     parser.add_argument("marks", metavar="MARKS.csv",
                         help="columns observation,camera,mark,u_px,v_px; ribbons have marks 0L, 0R, 1L …")
     image_options.add_rig(parser)
-    given.add(parser, "--out", "OBS", given.OBSERVATIONS, "file to write: .npz, .csv or .parquet", required=True)
+    given.add(parser, "--out", "OBS", given.output_file, "file to write: .npz, .csv or .parquet", required=True)
     given.add(parser, "--labels", "LABELS.csv", str, "columns observation and any of end_distance_mm, end_rotation_deg, "
               "total_twist_deg")
     given.add(parser, "--rest-length", "MM", given.LENGTH, "length of rod from each mark to the next (default: the median "
@@ -50,9 +47,6 @@ def declare(add) -> None:
     parser.add_argument("--threshold", type=float, default=5.0, metavar="SIGMAS",
                         help="labels further from the others than this many standard deviations are outliers (default 5)")
     given.add_up(parser, "0,0,1 in the rig's world")
-
-
-# --- calibrate -----------------------------------------------------------------------------------------------------------
 
 
 def run_calibrate(options: Namespace) -> int:
@@ -68,7 +62,7 @@ def run_calibrate(options: Namespace) -> int:
     summary = _calibration_summary(views, calibration, options.out)
     summary["orientation"] = image_options.orientation_note(views.images.values(), turned)
     _doubt_calibration(views, calibration)
-    report(options, summary, lambda: _calibration_lines(views, calibration, summary))
+    results.report(options, summary, lambda: _calibration_lines(views, calibration, summary), indent="")
     return 0
 
 
@@ -156,19 +150,15 @@ def _calibration_lines(views: Views, calibration: Calibration, summary: dict) ->
         lines.append(f"no board found in {len(summary['without_board'])} of {len(summary['images'])} images")
     if summary["orientation"]:
         lines.append(f"orientation: {summary['orientation']}")
-    return [*lines, f"written to {in_line(summary['out'])}"]
-
-
-# --- triangulate ---------------------------------------------------------------------------------------------------------
+    return lines
 
 
 def run_triangulate(options: Namespace) -> int:
     """Triangulate all marks; writes observations and names the labels that contradict the others."""
     chosen = TriangulationOptions(options.sigma_px, options.threshold)
-    refuse_overwriting(options.out, options.marks)
+    results.refuse_overwriting(options.out, options.marks)
     rig = image_options.rig(options)
-    if len(rig.cameras) < 2:
-        raise InputError(options.rig, "cameras", "one camera", "triangulation needs two or more")
+    require(len(rig.cameras) >= 2, options.rig, "cameras", "one camera", "triangulation needs two or more")
     marks = read_marks(options.marks, rig)
     labels = {} if options.labels is None else read_labels(options.labels, marks.names)
     if "total_twist" in labels:
@@ -180,7 +170,7 @@ def run_triangulate(options: Namespace) -> int:
     observations, filled = observe(marks, points, options.rest_length, **up, name=options.out.stem, **labels)
     save_observations(options.out, observations)
     summary = _marks_summary(marks, rig, points, observations, filled, chosen, options.out)
-    report(options, summary, lambda: _marks_lines(marks, summary))
+    results.report(options, summary, lambda: _marks_lines(marks, summary))
     return 0
 
 
@@ -245,16 +235,17 @@ def _marks_lines(marks: Marks, summary: dict) -> list[str]:
     count, vertices = summary["observations"], summary["vertices"]
     rms = ", ".join(f"{name} {value:.2f}" for name, value in summary["rms_px"].items())
     lines = [f"{counted(count, 'observation')} of {vertices} vertices{', a ribbon' * marks.is_ribbon}",
-             f"  marks       {status_text(summary['marks'])}; {summary['valid_vertices']} of {count * vertices} vertices valid",
+             f"  marks       {results.status_text(summary['marks'])}; {summary['valid_vertices']} of {count * vertices} "
+             "vertices valid",
              f"  residual    {rms} px (rms)",
              f"  labels      their scatter is {summary['label_sigma_px']:.2g} px, {summary['sigma_px']:.2g} px were assumed",
              f"  sigma       median {summary['median_sigma_mm']:.3g} mm"]
     for kind, label, verdict in (("outliers", "outlier", ", left out"), ("contradictory", "contradictory", "")):
-        lines += shortened([
+        lines += results.shortened([
             f"  {label:<11} observation {entry['observation']}, mark {entry['mark']}, {entry['camera']}: "
             f"{entry['residual_px']:.1f} px off{verdict}" for entry in summary[kind]], MOST_LISTED,
             f"  {label:<11} and {{}} more, which --json lists")
     if marks.is_ribbon:
         lines.append(f"  frames      {summary['frames_filled']} carried over from their neighbours; measured in all "
                      f"observations at {' and '.join(summary['end_frames']) or 'neither end'}")
-    return [*lines, f"  written to {in_line(summary['out'])}"]
+    return lines

@@ -11,32 +11,20 @@ import re
 import sys
 from collections.abc import Sequence
 from contextlib import redirect_stdout
+from importlib import import_module
 from typing import NoReturn
 
 from doo_ti import __version__
-from doo_ti.commands import (
-    cameras,
-    group,
-    identify,
-    machine,
-    perceive,
-    plan,
-    predict,
-    refine,
-    relax,
-    runs,
-    simulate,
-    steer,
-    sweep,
-    synth,
-    track,
-    twist,
-)
-from doo_ti.commands.help_text import hidden, nearest, overview
+from doo_ti.commands.help_text import ALWAYS, FIRST, nearest, overview
 from doo_ti.io.toml_file import scene_file
 from doo_ti.system.errors import InputError, InterruptedRunError
 from doo_ti.system.runtime import check_architecture
 from doo_ti.system.terminal import VisibleStream, visible
+
+DECLARING = [import_module(f"doo_ti.commands.{name}") for name in (
+    "relax", "twist", "sweep", "plan", "runs", "refine", "predict", "steer", "simulate", "group", "identify", "synth",
+    "machine", "cameras", "perceive", "track")]
+"""The modules of the commands, in the order of their declaration."""
 
 
 class _Parser(argparse.ArgumentParser):
@@ -74,7 +62,8 @@ class _Parser(argparse.ArgumentParser):
         """The help, of a command with many options with those that matter most, unless ``whole`` has been set."""
         optional = [action for action in self._actions if action.option_strings and not action.required]
         names = [action.option_strings[-1] for action in optional if action.help != argparse.SUPPRESS]
-        left_out = [] if self.whole else hidden(self.prog.split()[-1], names)
+        first = FIRST.get(self.prog.split()[-1])
+        left_out = [] if self.whole or first is None else [name for name in names if name not in (*ALWAYS, *first)]
         kept, groups, epilog = [action.help for action in optional], self._action_groups, self.epilog
         for action in optional:
             if action.option_strings[-1] in left_out:
@@ -120,13 +109,12 @@ def _run(argv: list[str]) -> int:
     logging.getLogger("matplotlib").setLevel(logging.ERROR)  # it warns where it cannot store its fonts
     parser = _parser()
     if argv[:1] == ["help"] and len(argv) > 1 and argv[1] != "help":
-        argv = [*argv[1:2], "--help"]
-    meanings = parser.meanings
+        argv = [argv[1], "--help"]
     if not argv or argv[0] in ("help", "-h", "--help"):
-        print(overview(meanings))
+        print(overview(parser.meanings))
         return 0
-    if not argv[0].startswith("-") and argv[0] not in meanings:
-        meant = nearest(argv[0], meanings)
+    if not argv[0].startswith("-") and argv[0] not in parser.meanings:
+        meant = nearest(argv[0], parser.meanings)
         remedy = f"did you mean {meant}? See doo-ti help" if meant else "see doo-ti help"
         raise InputError("doo-ti", argv[0], "unknown command", remedy)
     words = _joined(argv)
@@ -135,13 +123,11 @@ def _run(argv: list[str]) -> int:
     except SystemExit as stop:  # --help
         return int(stop.code or 0)
     except InputError as error:
-        # What is missing may only be misspelt.
-        if error.problem != "missing" or argv[0] not in meanings:
-            raise
-        command = parser.commands[argv[0]]
-        names = [word.split("=")[0] for word in words if word.startswith("--")]
-        if wrong := next((name for name in names if name not in command._option_string_actions), None):
-            raise _unexpected(command, wrong) from None
+        if error.problem == "missing" and argv[0] in parser.meanings:  # it may only be misspelt
+            command = parser.commands[argv[0]]
+            names = [word.split("=")[0] for word in words if word.startswith("--")]
+            if wrong := next((name for name in names if name not in command._option_string_actions), None):
+                raise _unexpected(command, wrong) from None
         raise
     if unknown:
         raise _unexpected(options.parser, next((word for word in unknown if word.startswith("-")), unknown[0]))
@@ -185,8 +171,7 @@ def _parser() -> _Parser:
                      description="Fit discrete elastic rods to observed shapes (Javdani et al., ICRA 2011).")
     parser.add_argument("--version", action="version", version=f"doo-ti {__version__}")
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
-    for module in (relax, twist, sweep, plan, runs, refine, predict, steer, simulate, group, identify, synth, machine,
-                   cameras, perceive, track):
+    for module in DECLARING:
         module.declare(commands.add_parser)
     parser.commands = commands.choices
     parser.meanings = {choice.dest: choice.help for choice in commands._choices_actions}

@@ -10,9 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from doo_ti.commands import doubts
-from doo_ti.commands import options as given
-from doo_ti.commands.results import in_newton, report, rows, save_arrays, status_text
+from doo_ti.commands import doubts, given, results
 from doo_ti.contact.surroundings import Surroundings, smallest_of_pairs
 from doo_ti.contact.touch import Touch
 from doo_ti.io.toml_file import scene_file
@@ -62,13 +60,13 @@ def run(options: Namespace) -> int:
         except KeyboardInterrupt:
             if not moments:
                 raise
-            save_arrays(options.out, _arrays(scene, moments))
+            results.save_arrays(options.out, _arrays(scene, moments))
             raise InterruptedRunError(f"interrupted: {len(moments)} of {len(scene.time)} moments are in "
                                       f"{in_line(options.out)}; the same command starts from the beginning") from None
-    save_arrays(options.out, _arrays(scene, moments))
+    results.save_arrays(options.out, _arrays(scene, moments))
     _draw(scene, moments, up, options.picture, options.recording)
     summary = _summary(scene, moments, options.out)
-    report(options, summary, lambda: _lines(scene, summary))
+    results.report(options, summary, lambda: _lines(scene, summary))
     return 0 if moments[-1].converged[0] else 1
 
 
@@ -88,10 +86,9 @@ def _arrays(scene: "GroupScene", moments: "list[GroupSolution]") -> dict[str, np
         "rest_length_mm": np.concatenate([rod.rest_length for rod in rods]),
         "contact_force": along(moment.contact_force for moment in moments),
         "touch": along(moment.touch for moment in moments)}
-    names = {"gap": "smallest_gap_mm"}
-    arrays |= {names.get(field.name, field.name): np.array([getattr(moment, field.name)[0] for moment in moments])
-               for field in fields(moments[0]) if field.name not in OF_RODS}
-    return in_newton(arrays, None if scene.newton is None else np.array([scene.newton]), 0)
+    arrays |= {"smallest_gap_mm" if field.name == "gap" else field.name: np.array(
+        [getattr(moment, field.name)[0] for moment in moments]) for field in fields(moments[0]) if field.name not in OF_RODS}
+    return results.in_newton(arrays, None if scene.newton is None else np.array([scene.newton]), 0)
 
 
 def _draw(scene: "GroupScene", moments: "list[GroupSolution]", up: np.ndarray, picture: Path | None, recording: Path | None
@@ -169,8 +166,8 @@ def _lines(scene: "GroupScene", summary: dict) -> list[str]:
     return [
         f"{in_line(scene.name)}: {counted(summary['rods'], 'rod')} of {summary['edges']} edges in all, {counted(ties, 'tie')}"
         + f", {summary['moments']} moments in {scene.time[-1]:.3g} s" * several,
-        *rows(
-            ("status", f"{status_text(summary['status'])}; {summary['stable']} certified stable"),
+        *results.rows(
+            ("status", f"{results.status_text(summary['status'])}; {summary['stable']} certified stable"),
             ("failed at", failed and ", ".join(f"{time:g}" for time in failed[:MOST_LISTED]) + " s"
                           + " and later" * (len(failed) > MOST_LISTED)),
             ("energy", np.isfinite(summary["energy"]) and f"{summary['energy']:.6g} mm²{moving}" + " at the end" * several
@@ -182,5 +179,4 @@ def _lines(scene: "GroupScene", summary: dict) -> list[str]:
             ("forces", at_rest and held and "of clamps: " + "; ".join(
                 f"{in_line(name)} {factor * force:.4g}" for name, force in held) + f" {unit}"),
             ("ties", at_rest and ties and "; ".join(f"{factor * force:.4g}" for force in summary["tie_force"][:MOST_LISTED])
-                     + "; …" * (ties > MOST_LISTED) + f" {unit}")),
-        f"  written to {in_line(summary['out'])}"]
+                     + "; …" * (ties > MOST_LISTED) + f" {unit}"))]

@@ -60,6 +60,7 @@ bench  # throughput and accuracy on this machine, as a table
 bench --out bench  # and as files
 """.strip().splitlines():
     EXAMPLES.setdefault(_line.split()[0], []).append(tuple(_line.split("  # ")))
+ALWAYS = ("-h", "--help", "--help-all", "--json")
 _MATERIAL, _FILES = ("--EI", "--GJ", "--linear-density"), ("--unit", "--columns", "--up")
 FIRST = {
     "sweep": (*_MATERIAL, *_FILES, "--rest-length", "--clamp-start", "--clamp-end", "--workers"),
@@ -89,26 +90,16 @@ OTHER_WORDS = {
 
 def overview(meanings: dict[str, str]) -> str:
     """The help of the program, from the meaning of every command."""
-    grouped = {name for names in GROUPS.values() for name in names}
-    groups = {**GROUPS, "Utilities": GROUPS["Utilities"] + tuple(name for name in meanings if name not in grouped)}
     lines = ["usage: doo-ti COMMAND ...", "",
              "Discrete elastic rods for suture, rope, cable and ribbon (Javdani et al., ICRA 2011).", ""]
-    for title, names in groups.items():
-        lines += [f"{title}:", *(f"  {name:<12} {meanings[name]}" for name in names if name in meanings), ""]
+    for title, names in GROUPS.items():
+        lines += [f"{title}:", *(f"  {name:<12} {meanings[name]}" for name in names), ""]
     return "\n".join([*lines, "doo-ti help COMMAND shows options and examples. Begin with:", "",
                       f"  doo-ti {EXAMPLES['sweep'][1][0]}", ""])
 
 
-def hidden(command: str, options: list[str]) -> list[str]:
-    """Which of the ``options`` that a command need not be given ``--help`` leaves to ``--help-all``."""
-    always = ("-h", "--help", "--help-all", "--json")
-    return [name for name in options if name not in always and name not in FIRST[command]] if command in FIRST else []
-
-
-def examples(command: str) -> str | None:
+def examples(command: str) -> str:
     """The end of a command's help."""
-    if command not in EXAMPLES:
-        return None
     text = "\n".join(f"doo-ti {line}\n    {meaning}" for line, meaning in EXAMPLES[command])
     return f"examples:\n{indent(text, '  ')}\n\nMore in docs/commands/{command}.md"
 

@@ -6,14 +6,12 @@ from pathlib import Path
 
 import numpy as np
 
-from doo_ti.commands import doubts, loading
-from doo_ti.commands import options as given
-from doo_ti.commands.results import listed, report, rows, save_json, shortened
+from doo_ti.commands import doubts, given, loading, results
 from doo_ti.dynamics.recorded import RecordedMotion
 from doo_ti.io.observation_files import load_observations
 from doo_ti.report.contact import Touched
 from doo_ti.report.motions import save_rollout
-from doo_ti.system.errors import InputError
+from doo_ti.system.errors import InputError, require
 from doo_ti.system.terminal import in_line, progress
 
 MOST_LISTED = 8
@@ -65,9 +63,8 @@ def run(options: Namespace) -> int:
     motion = RecordedMotion.together(loading.recordings(options, options.motions), options.motions)
     up = given.world_up(options, motion.up)
     stills = _stills(options, motion, surroundings)
-    if options.folds == 1 or options.folds > motion.count:
-        raise InputError(given.SOURCE, "--folds", f"{options.folds} for {motion.count} recordings",
-                         "give 0, or from 2 to their number")
+    require(options.folds != 1 and options.folds <= motion.count, given.SOURCE, "--folds",
+            f"{options.folds} for {motion.count} recordings", "give 0, or from 2 to their number")
     require_clear_grippers(motion, guesses(motion, chosen, options.bend, up)[0], chosen)
     doubts.warn_of_rod(options.motions[0], motion.edge_lengths(), surroundings)
     with progress(keep=True) as bar:
@@ -84,7 +81,7 @@ def run(options: Namespace) -> int:
         raise RuntimeError(f"no recording could be rolled out, from {len(motion.names)}; give a higher --bend to begin with")
     rollouts = chosen.rollouts(motion, found.theta, finer=True)
     summary = _summary(found, motion, held_out, rollouts, options.out)
-    save_json(options.out, {"doo_ti": "theta", **summary["theta"], **{key: summary[key] for key in (
+    results.save_json(options.out, {"doo_ti": "theta", **summary["theta"], **{key: summary[key] for key in (
         "parameters", "error_mm", "mean_error_mm", "median_error_mm", "smoothing", "failed", "inside_mm", "held_out", "stills",
         "glitches")}})
     share = summary["mean_error_mm"] / motion.edge_lengths().sum()
@@ -100,7 +97,7 @@ def run(options: Namespace) -> int:
         touched = Touched(surroundings, positions, simulation.contact_force) if surroundings else None
         save_rollout(options.picture, "identified", list(motion.names), positions, motion.positions, motion.rate,
                      found.theta.up, touched=touched)
-    report(options, summary, lambda: _lines(summary, motion))
+    results.report(options, summary, lambda: _lines(summary, motion))
     return 0
 
 
@@ -170,11 +167,12 @@ def _lines(summary: dict, motion) -> list[str]:
     still, held, inside = summary["stills"], summary["held_out"], summary["inside_mm"]
     rest = np.asarray(summary["theta"]["rest_curvature_per_mm"])
     fitted = [entry for entry in summary["parameters"] if not entry["name"].startswith("rest_curvature")]
+    glitches = results.shortened(summary["glitches"], MOST_LISTED, "and {} more")
     begun = "two frames" if summary["smoothing"] == 1 else f"{summary['smoothing']} frames, smoothed"
     error = "none was usable" if still["mean_error_mm"] is None else f"mean distance {still['mean_error_mm']:.4g} mm"
     return [
         f"{summary['recordings']} recordings of {motion.edges} edges, {summary['frames']} frames at {motion.rate:g}/s",
-        *rows(
+        *results.rows(
             *((entry["name"], f"{entry['value']:.4g} {entry['unit']}  [{entry['low'] or 0:.3g}, {entry['high']:.3g}] 95 %")
               for entry in fitted),
             ("not fitted", ", ".join(f"{name} {value:g} {Unknowns.UNITS[name]}".strip()
@@ -186,9 +184,8 @@ def _lines(summary: dict, motion) -> list[str]:
             ("at rest", still["count"] and f"{still['count']} still frames, {still['left_out']} left out; {error}"),
             ("held out", held and f"mean {held['mean_error_mm']:.4g} ± {held['standard_error_mm']:.2g} mm, median "
                                   f"{held['median_error_mm']:.4g} mm"),
-            ("failed", summary["failed"] and f"{listed(summary['failed'], MOST_LISTED)}: left out"),
-            ("inside", inside and f"the grippers of {listed(inside, MOST_LISTED)} hold the rod up to "
+            ("failed", summary["failed"] and f"{results.listed(summary['failed'], MOST_LISTED)}: left out"),
+            ("inside", inside and f"the grippers of {results.listed(inside, MOST_LISTED)} hold the rod up to "
                                   f"{max(inside.values()):.3g} mm inside an obstacle: correct its place, or give a smaller "
                                   "--radius"),
-            *(("glitch", in_line(line)) for line in shortened(summary["glitches"], MOST_LISTED, "and {} more")), width=16),
-        f"  written to {in_line(summary['out'])}"]
+            *(("glitch", in_line(line)) for line in glitches), width=16)]

@@ -11,15 +11,14 @@ from pathlib import Path
 
 import numpy as np
 
-from doo_ti.commands import doubts, loading
-from doo_ti.commands import options as given
+from doo_ti.commands import doubts, given, loading
 from doo_ti.commands.loading import MOST_EDGES, read_rest_length
 from doo_ti.contact.surroundings import Surroundings
 from doo_ti.io.observation_files import load_observations
 from doo_ti.io.toml_file import scene_file
 from doo_ti.rod.material import UNITS_IN_MM, likely_unit
 from doo_ti.rod.types import Material
-from doo_ti.system.errors import InputError
+from doo_ti.system.errors import InputError, require
 from doo_ti.system.terminal import in_line, warn
 from doo_ti.vision.cameras import LENSES, POSES, Rig, RigReading
 from doo_ti.vision.images import ImageSets, load_sets, orientation_tags
@@ -49,7 +48,7 @@ def add_rig(parser: ArgumentParser) -> None:
               "arbitrary (default mm)")
     parser.add_argument("--rig-poses", choices=tuple(POSES), help="what R and t in RIG are: world to camera, camera to world, "
                         "or R and the camera's centre; axes of OpenCV (z forward) or OpenGL (y up) (default opencv)")
-    parser.add_argument("--rig-lens", choices=LENSES, default="opencv", help="model of the lenses in RIG (default opencv)")
+    given.add(parser, "--rig-lens", None, LENSES, "model of the lenses in RIG", "opencv")
     given.add(parser, "--image-size", "WIDTH,HEIGHT", given.numbers("WIDTH,HEIGHT", given.FROM_ZERO), "size of the images, "
               "where RIG does not state it")
     add_orientation(parser, "RIG's, else ignore")
@@ -99,11 +98,9 @@ def by_camera(option: str, texts: Iterable[str] | None, names: tuple[str, ...], 
     for text in texts or ():
         camera, _, numbers = text.rpartition(":")
         values = each(option, numbers)
-        if camera not in names or len(values) != form.count(",") + 1:
-            raise InputError(given.SOURCE, option, f"{text!r}",
-                             f"give CAMERA:{form}; the rig has {', '.join(map(in_line, names))}")
-        if camera in found:
-            raise InputError(given.SOURCE, option, f"given twice for {in_line(camera)}", "give it once for each camera")
+        require(camera in names and len(values) == form.count(",") + 1, given.SOURCE, option, f"{text!r}",
+                f"give CAMERA:{form}; the rig has {', '.join(map(in_line, names))}")
+        require(camera not in found, given.SOURCE, option, f"given twice for {in_line(camera)}", "give it once for each camera")
         found[camera] = values
     return found
 
@@ -230,7 +227,7 @@ class LengthBounds:
 @dataclass(frozen=True)
 class SeenRods:
     """Rods in images, the options of :func:`add_seen_rod` and :func:`add_thread`, checked as far as possible before images are
-    read; what the commands are to make of them is in subclasses."""
+    read."""
 
     sets: object  # ImageSets, of a video its frames
     rest_length: np.ndarray | None  # None: that of the thread in the images, within ``length_bounds``
@@ -262,28 +259,13 @@ def seen_rods(options: Namespace, which: str, load: Callable[[Rig], tuple[ImageS
     return seen, beside
 
 
-@dataclass(frozen=True)
-class PerceptionTask(SeenRods):
-    """The inputs of a perception."""
-
-    search: object  # PerceptionOptions
-    truth: np.ndarray | None
-    recorded: int
-
-
-def perception_task(options: Namespace) -> PerceptionTask:
-    """Raises InputError naming the option or file at fault."""
+def rods_of_sets(options: Namespace) -> tuple[SeenRods, np.ndarray | None]:
+    """The rods of ``perceive``, and (A, V, 3) mm where they truly are, if ``--truth`` says so."""
     def load(rig: Rig) -> tuple[ImageSets, np.ndarray | None]:
         sets = _sets(options, rig)
         return sets, _truth(options, sets.names)
 
-    seen, truth = seen_rods(options, "perceived", load, options.detector)
-
-    from doo_ti.perception.perceive import PerceptionOptions
-
-    chosen = {"nu": options.nu, "hypotheses": options.hypotheses, "evidence": options.evidence}
-    search = PerceptionOptions(**{name: value for name, value in chosen.items() if value is not None})
-    return PerceptionTask(**vars(seen), search=search, truth=truth, recorded=0 if options.no_recording else options.recorded)
+    return seen_rods(options, "perceived", load, options.detector)
 
 
 def _sets(options: Namespace, rig):
@@ -292,11 +274,9 @@ def _sets(options: Namespace, rig):
               "--seed-pixel": options.seed_pixel}
     if options.sets is not None:
         both = next((name for name, value in single.items() if value), None)
-        if both:
-            raise InputError(given.SOURCE, both, "given beside --sets", "give either")
+        require(not both, given.SOURCE, both, "given beside --sets", "give either")
         return load_sets(options.sets, rig)
-    if not options.images:
-        raise InputError(given.SOURCE, "IMAGE", "missing", "give --sets, or images with a seed")
+    require(options.images, given.SOURCE, "IMAGE", "missing", "give --sets, or images with a seed")
     if bool(options.seed_point) == bool(options.seed_pixel):
         both = "given beside --seed-pixel" if options.seed_pixel else "missing"
         raise InputError(given.SOURCE, "--seed-point", both, "give --seed-point, or --seed-pixel: where the rod begins")
@@ -325,8 +305,7 @@ def _bounds(option: str, text: str) -> tuple[float, float]:
     """``300``, or ``250:350``, in mm."""
     low, colon, high = text.partition(":")
     bounds = given.LENGTH(option, low), given.LENGTH(option, high if colon else low)
-    if bounds[0] > bounds[1]:
-        raise InputError(given.SOURCE, option, text, "give MM, or LOW:HIGH")
+    require(bounds[0] <= bounds[1], given.SOURCE, option, text, "give MM, or LOW:HIGH")
     return bounds
 
 
@@ -344,6 +323,5 @@ def _truth(options: Namespace, names: tuple[str, ...]) -> np.ndarray | None:
         return vertices
     row = {str(name): index for index, name in enumerate(true.labels)}
     missing = next((name for name in names if name not in row), None)
-    if missing is not None:
-        raise InputError(path, "name", f"no rod is called {missing!r}", "name rods as the sets")
+    require(missing is None, path, "name", f"no rod is called {missing!r}", "name rods as the sets")
     return vertices[[row[name] for name in names]]

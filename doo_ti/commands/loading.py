@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from doo_ti.commands import options as given
+from doo_ti.commands import given
 from doo_ti.dynamics.recorded import RecordedMotion
 from doo_ti.io.arrays import checked_arrays, decoded, read_npz
 from doo_ti.io.observation_files import load_observations
@@ -23,7 +23,7 @@ from doo_ti.rod.start import observation_clamps, reachable
 from doo_ti.rod.types import Clamp, Material, unit_up
 from doo_ti.system import terminal
 from doo_ti.system.arguments import counted, span_text
-from doo_ti.system.errors import InputError
+from doo_ti.system.errors import InputError, require
 from doo_ti.system.files import MOST_TEXT_BYTES, read_content
 from doo_ti.system.terminal import in_line
 
@@ -54,8 +54,7 @@ def add_rest_length(group) -> None:
 
 def add_files(group, of: str) -> None:
     """How the files ``of`` some option or argument state the marks."""
-    group.add_argument("--unit", choices=tuple(UNITS_IN_MM), help=f"unit of all lengths in {of} (default: as the file states, "
-                       "else mm)")
+    given.add(group, "--unit", None, tuple(UNITS_IN_MM), f"unit of all lengths in {of} (default: as the file states, else mm)")
     given.add(group, "--columns", "x=NAME,…|A,B,C", _columns, "columns of a table that hold x, y, z, observation, "
               "vertex; of other files, names of markers or curves in their order along the rod")
 
@@ -125,20 +124,16 @@ def _measured(observations: Observations, text: str) -> Observations:
 def target(options: Namespace, observations: Observations) -> np.ndarray:
     """(1, V, 3) mm, where ``--target`` says that the vertices shall be; NaN where it asks nothing."""
     path = Path(options.target)
-    if path.suffix != ".npz":
-        raise InputError(path, "file", f"suffix {path.suffix!r}", "name a .npz file with vertices_mm")
+    require(path.suffix == ".npz", path, "file", f"suffix {path.suffix!r}", "name a .npz file with vertices_mm")
     arrays = read_npz(path, read_content(path), ("vertices_mm", "up"))
-    if "vertices_mm" not in arrays:
-        raise InputError(path, "vertices_mm", "missing", "give (1, V, 3) mm, NaN where nothing is asked")
+    require("vertices_mm" in arrays, path, "vertices_mm", "missing", "give (1, V, 3) mm, NaN where nothing is asked")
     places = arrays["vertices_mm"]
     missing = np.isnan(places) if places.dtype.kind == "f" else np.zeros(places.shape, dtype=bool)
     places = checked_arrays(path, {"vertices_mm": np.where(missing, 0, places) if missing.any() else places})["vertices_mm"]
     wanted = (1, observations.edges + 1, 3)
-    if places.shape != wanted:
-        raise InputError(path, "vertices_mm", f"shape {places.shape}", f"give {wanted}, as START has vertices")
+    require(places.shape == wanted, path, "vertices_mm", f"shape {places.shape}", f"give {wanted}, as START has vertices")
     places = np.where(missing, np.nan, places)
-    if not np.isfinite(places).all(axis=-1).any():
-        raise InputError(path, "vertices_mm", "NaN everywhere", "give at least one vertex a place")
+    require(np.isfinite(places).all(axis=-1).any(), path, "vertices_mm", "NaN everywhere", "give at least one vertex a place")
     if "up" in arrays and np.abs(unit_up(arrays["up"], str(path)) - observations.up).max() > 1e-6:
         raise InputError(path, "up", f"{_up_text(arrays['up'])}, but START has {_up_text(observations.up)}",
                          "give both in the same axes")

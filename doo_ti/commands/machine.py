@@ -13,8 +13,7 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from doo_ti.commands import options as given
-from doo_ti.commands.results import report, save_json
+from doo_ti.commands import given, results
 from doo_ti.system.arguments import counted
 from doo_ti.system.errors import InputError
 from doo_ti.system.files import write_text
@@ -31,7 +30,7 @@ def declare(add) -> None:
     given.add(parser, "--threads", "N", given.whole(1, os.cpu_count() or 1), "threads of the kernels (default: one per "
               "processor)")
     given.add(parser, "--rounds", "N", given.whole(1, MOST_ROUNDS), "number of measurements; their median is printed", ROUNDS)
-    given.add(parser, "--out", "FOLDER", given.FOLDER, "folder for bench.json (default: not written)")
+    given.add(parser, "--out", "FOLDER", given.folder, "folder for bench.json (default: not written)")
     parser = given.command(add, "warm", run_warm, "compile the kernels of commands now, so that their first use does not wait")
     parser.add_argument("commands", nargs="*", metavar="COMMAND",
                         help=f"those whose kernels to compile: {', '.join(STEPS)} (default: all); those of obstacles depend "
@@ -43,8 +42,8 @@ def run_bench(options: Namespace) -> int:
 
     summary = benchmark(options.rods, options.rounds, options.threads)
     if options.out is not None:
-        save_json(options.out / "bench.json", summary)
-    report(options, summary, lambda: [text(summary)])
+        results.save_json(options.out / "bench.json", summary)
+    results.report(options, summary, lambda: [text(summary)])
     return 0
 
 
@@ -98,25 +97,17 @@ STEPS = {
     "plan": ("plan lab.toml --twist 4e5",),
 }
 """Of each command with kernels the commands that compile them, those first that take longest."""
+_LAB_SCENE = """{}[synthesis]
+bend = 4e5
+twist = 4e5
+end_distances_mm = {}
+end_rotations_deg = {}
+[grid]
+bend = "2e5:8e5:3"
+"""
 INPUTS = {
-    "lab.toml": """clamp_start = "frame"
-clamp_end = "frame"
-[synthesis]
-bend = 4e5
-twist = 4e5
-end_distances_mm = [54.0, 66.0, 78.0]
-end_rotations_deg = [30.0, 60.0, 90.0, 120.0]
-[grid]
-bend = "2e5:8e5:3"
-""",
-    "seen.toml": """[synthesis]
-bend = 4e5
-twist = 4e5
-end_distances_mm = [66.0]
-end_rotations_deg = [60.0]
-[grid]
-bend = "2e5:8e5:3"
-""",
+    "lab.toml": _LAB_SCENE.format('clamp_start = "frame"\nclamp_end = "frame"\n', [54, 66, 78], [30, 60, 90, 120]),
+    "seen.toml": _LAB_SCENE.format("", [66], [60]),
     "moving.toml": """rate_hz = 50
 duration_s = 0.4
 [rod]
@@ -164,7 +155,7 @@ def run_warm(options: Namespace) -> int:
             threads.shutdown(wait=False, cancel_futures=True)
             for process in processes:
                 ended(process)
-    report(options, {"seconds": seconds, "failed": failed}, lambda: [
+    results.report(options, {"seconds": seconds, "failed": failed}, lambda: [
         f"  {name:<11} {taken:.1f} s{f', FAILED: {in_line(failed[name])}' if name in failed else ''}"
         for name, taken in seconds.items()])
     return 1 if failed else 0

@@ -8,9 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from doo_ti.commands import doubts, loading
-from doo_ti.commands import options as given
-from doo_ti.commands.results import refuse_overwriting
+from doo_ti.commands import doubts, given, loading, results
 from doo_ti.contact.surroundings import Surroundings
 from doo_ti.dynamics.parameters import Dynamics, Stepping
 from doo_ti.io.motion_file import TOOL_AXES, ClampPath, load_path
@@ -20,7 +18,7 @@ from doo_ti.rod.material import UNITS_IN_MM
 from doo_ti.rod.observations import Observations
 from doo_ti.rod.start import check_experiment, choose_hypothesis, observation_clamps, start_configuration, turn_hypotheses
 from doo_ti.rod.types import Clamp, Clamps, Configuration, Material
-from doo_ti.system.errors import InputError
+from doo_ti.system.errors import InputError, require
 from doo_ti.system.terminal import busy, warn
 
 if TYPE_CHECKING:
@@ -98,24 +96,22 @@ class HeldRods:
 def held_rods(options: Namespace, out: Path, kinds: tuple[Clamp | None, Clamp | None], moving: bool = False) -> HeldRods:
     """The rods of the file ``options.source``, whose clamps go along ``--motion``, at first of these ``kinds``; ``moving`` with
     inertia."""
-    if options.motion is None:
-        raise InputError(given.SOURCE, "--motion", "missing", "name a file of poses, or give a scene of motion")
+    require(options.motion is not None, given.SOURCE, "--motion", "missing", "name a file of poses, or give a scene of motion")
     grid, surroundings, theta = given.grid(options), given.surroundings(options), given.theta(options)
     if theta is not None and theta.friction is not None:
         use = "that of all obstacles" if surroundings.bodies else "ignored without obstacles"
         options.friction_note = f"; its friction of {theta.friction:.3g} is {use}"
         surroundings = surroundings.rubbing(theta.friction)
     observations = loading.load(options, options.source)
-    refuse_overwriting(out, options.source, options.motion)
+    results.refuse_overwriting(out, options.source, options.motion)
     path = _path(options, observations.up)
     if not (path.tangents_only or options.relative):  # rods are held by the frames of the path's first moment, without own ones
         frames = {name: np.broadcast_to(value[0], (observations.count, 3, 3)) for name, value in
                   (("start_frame", path.start_frame), ("end_frame", path.end_frame))
                   if value is not None and getattr(observations, name) is None and value.shape[1] in (1, observations.count)}
         observations = replace(observations, **frames)
-    if path.count not in (1, observations.count) and observations.count > 1:
-        raise InputError(options.motion, "positions_mm", f"{path.count} motions for {observations.count} observations",
-                         "give one motion, or one for each observation")
+    require(path.count in (1, observations.count) or observations.count <= 1, options.motion, "positions_mm",
+            f"{path.count} motions for {observations.count} observations", "give one motion, or one for each observation")
     if observations.count < path.count:
         observations = observations.take(np.zeros(path.count, dtype=np.int64))
     clamps = observation_clamps(observations, *kinds)
@@ -166,8 +162,7 @@ def simulated_rods(options: Namespace, out: Path, changes: dict) -> SimulatedRod
     rate = options.rate
     path = held.path if rate is None else held.path.resampled(rate) if held.path.timed else replace(
         held.path, time=held.path.time / rate, timed=True)
-    if not path.timed:
-        raise InputError(given.SOURCE, "--rate", "missing, and the motion has no times", "give its moments per second")
+    require(path.timed, given.SOURCE, "--rate", "missing, and the motion has no times", "give its moments per second")
     options.theta_note = given.EVERYTHING
     theta, stepping = given.theta(options), Stepping(rate_of(path), **changes)
     # Damping, drag and the mass of markers are those of --theta but for what the options give.
@@ -196,9 +191,8 @@ def _path(options: Namespace, up: np.ndarray) -> ClampPath:
     if options.motion_columns is not None:
         parts = [part.partition("=") for part in options.motion_columns.split(",")]
         named = {name.strip(): column.strip() for name, _, column in parts}
-        if not all(named.values()) or not named.keys() <= set(NAMED):
-            raise InputError(given.SOURCE, "--motion-columns", f"{options.motion_columns!r}",
-                             f"give NAME=COLUMN for some of {', '.join(NAMED)}")
+        require(all(named.values()) and named.keys() <= set(NAMED), given.SOURCE, "--motion-columns",
+                f"{options.motion_columns!r}", f"give NAME=COLUMN for some of {', '.join(NAMED)}")
     axes = axes * 2 if len(axes) == 1 else axes
     if len(axes) != 2 or not set(axes) <= TOOL_AXES.keys():
         known = ", ".join(TOOL_AXES)
@@ -234,9 +228,8 @@ def check_reach(path: ClampPath, clamps: Clamps, length: float) -> None:
     for moment in range(path.moments):
         held = path.at(moment, clamps)
         apart = np.linalg.norm(held.end_position - held.start_position, axis=-1).max()
-        if apart > MOST_LENGTHS * length:
-            raise InputError(path.source, f"moment {moment}", f"the clamps are {apart:.4g} mm apart, and the rod "
-                             f"{length:.4g} mm long", "correct the positions")
+        require(not apart > MOST_LENGTHS * length, path.source, f"moment {moment}",
+                f"the clamps are {apart:.4g} mm apart, and the rod {length:.4g} mm long", "correct the positions")
 
 
 def warn_of(held: HeldRods, options: Namespace) -> None:
@@ -273,9 +266,8 @@ def _begins_off(held: HeldRods) -> dict[str, np.ndarray]:
 def require_length(source, theta, length: float) -> None:
     """Raise InputError, naming the file ``source`` of ``theta``, where that is of a rod of another ``length``, mm."""
     own = float(np.sum(theta.rest_length))
-    if abs(length - own) > MOST_STRETCH * own:
-        raise InputError(source, "rest_length_mm", f"{own:.4g} mm in all, the rods are {length:.4g} mm long",
-                         "give the theta of this rod, or the unit of the lengths")
+    require(not abs(length - own) > MOST_STRETCH * own, source, "rest_length_mm",
+            f"{own:.4g} mm in all, the rods are {length:.4g} mm long", "give the theta of this rod, or the unit of the lengths")
 
 
 def with_rest_curvature(options: Namespace, material: Material, rest_length: np.ndarray, moving: bool = False) -> Material:

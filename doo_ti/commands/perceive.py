@@ -6,10 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
-from doo_ti.commands import doubts, image_options, loading
-from doo_ti.commands import options as given
-from doo_ti.commands.image_options import GUESSED_BEND, MOST_HYPOTHESES, RECORDED, PerceptionTask, perception_task
-from doo_ti.commands.results import refuse_overwriting, report, save_arrays, shortened, status_text
+from doo_ti.commands import doubts, given, image_options, loading, results
+from doo_ti.commands.image_options import GUESSED_BEND, MOST_HYPOTHESES, RECORDED, SeenRods
 from doo_ti.learning.landscape import status_counts
 from doo_ti.perception.growth import GrowthSteps
 from doo_ti.report.figures import MOST_SETS, SeenRod, reprojections_picture
@@ -60,28 +58,34 @@ def declare(add) -> None:
 
 
 def run(options: Namespace) -> int:
-    out, task = options.out, perception_task(options)
+    out, (task, truth) = options.out, image_options.rods_of_sets(options)
+
+    from doo_ti.perception.perceive import PerceptionOptions
+
+    chosen = {"nu": options.nu, "hypotheses": options.hypotheses, "evidence": options.evidence}
+    search = PerceptionOptions(**{name: value for name, value in chosen.items() if value is not None})
     sources = [options.rig, options.sets, options.truth, *(path for line in task.sets.paths for path in line)]
     beside = [suffix for suffix, left_out in ((".png", options.no_picture), (".rrd", options.no_recording)) if not left_out]
     for path in (out, *(given.output_file("--out", out.with_suffix(suffix), (suffix,)) for suffix in beside)):
-        refuse_overwriting(path, *sources)
+        results.refuse_overwriting(path, *sources)
     with progress() as bar:
         detected, failed = _detected(task, bar)
-        begun, rows, length_range, seed_sigma = _begun(task, detected, failed)
+        begun, rows, length_range, seed_sigma = _begun(task, search, detected, failed)
         detected = [detected[row] for row in rows]
-        found, growth = _perceived(begun, detected, seed_sigma, bar)
+        growth = GrowthSteps(0 if options.no_recording else options.recorded)
+        found = _perceived(begun, search, detected, seed_sigma, growth, bar)
         found = replace(found, length_range=np.broadcast_to(length_range, found.length_range.shape))
     doubts.warn_of_axes(options, task.sets.rig)
     image_options.warn_of_rig(options, begun.sets, begun.rest_length.sum(), found.verdict, detected)
     task, every = replace(task, rest_length=begun.rest_length), found.among(rows, task.sets.count)
-    save_arrays(out, _arrays(task, every))
-    written = [out, *_shown(options, begun, detected, found, growth, out)]
-    summary = _summary(task, detected, every, failed, written)
-    report(options, summary, lambda: _lines(summary))
+    results.save_arrays(out, _arrays(task, every))
+    written = [out, *_shown(options, begun, None if truth is None else truth[rows], detected, found, growth, out)]
+    summary = _summary(task, truth, detected, every, failed, written)
+    results.report(options, summary, lambda: _lines(summary))
     return 0 if summary["found"] else 1
 
 
-def _detected(task: PerceptionTask, bar) -> tuple[list[list], dict[int, InputError]]:
+def _detected(task: SeenRods, bar) -> tuple[list[list], dict[int, InputError]]:
     """A lists of C detections, and by their rows the sets in which an image shows no thread. Raises InputError for the first
     image that does not fit the rig."""
     paths, cameras, detected, failed = task.sets.paths, task.sets.rig.cameras, [], {}
@@ -96,8 +100,8 @@ def _detected(task: PerceptionTask, bar) -> tuple[list[list], dict[int, InputErr
     return detected, failed
 
 
-def _begun(task: PerceptionTask, detected: list[list], failed: dict[int, InputError]
-           ) -> tuple[PerceptionTask, np.ndarray, np.ndarray, np.ndarray]:
+def _begun(task: SeenRods, search, detected: list[list], failed: dict[int, InputError]
+           ) -> tuple[SeenRods, np.ndarray, np.ndarray, np.ndarray]:
     """The sets in which a rod can begin, with seeds and rest lengths that are not given found in the images; their rows; (2,)
     mm between which the length is, NaN where it is given; and (R,) mm how uncertain seeds are, zero where they are given.
 
@@ -115,7 +119,7 @@ def _begun(task: PerceptionTask, detected: list[list], failed: dict[int, InputEr
         from doo_ti.perception.seeds import whole_threads
 
         threads = whole_threads(sets.rig, [detected[row] for row in rows], sets.point, sets.direction, task.material, task.up,
-                                task.search)
+                                search)
         lost = np.isnan(threads.direction).any(axis=1)
         if rest_length is None and np.isnan(threads.length).all():
             lost[:] = True
@@ -130,8 +134,7 @@ def _begun(task: PerceptionTask, detected: list[list], failed: dict[int, InputEr
         # Of several sets the median is as much more certain as they are many.
         apart = (np.nanmedian(threads.range, axis=0) - middle) / np.sqrt(np.isfinite(threads.length).sum())
         length_range = np.clip(middle + apart, task.length_bounds.least, task.length_bounds.most)
-    truth = None if task.truth is None else task.truth[rows]
-    return replace(task, sets=sets, rest_length=rest_length, truth=truth), rows, length_range, sigma[rows]
+    return replace(task, sets=sets, rest_length=rest_length), rows, length_range, sigma[rows]
 
 
 def _clicked_points(sets, detected: list[list], failed: dict[int, InputError]
@@ -165,8 +168,8 @@ def _left(sets, failed: dict[int, InputError]) -> np.ndarray:
     return np.setdiff1d(np.arange(sets.count), list(failed)).astype(int)
 
 
-def _perceived(task: PerceptionTask, detected: list[list], seed_sigma: np.ndarray, bar):
-    """(Perception of all sets, GrowthSteps of those that are recorded): in groups whose maps fit into memory."""
+def _perceived(task: SeenRods, search, detected: list[list], seed_sigma: np.ndarray, growth: GrowthSteps, bar):
+    """The Perception of all sets, in groups whose maps fit into memory; its steps are added to ``growth``."""
     from doo_ti.perception.perceive import Perception, perceive
     from doo_ti.vision.distance_map import distance_maps
 
@@ -174,7 +177,7 @@ def _perceived(task: PerceptionTask, detected: list[list], seed_sigma: np.ndarra
     pixels = max(camera.width * camera.height for camera in sets.rig.cameras)
     together = max(1, MOST_MAP_BYTES // (4 * pixels * len(sets.rig.cameras)))
     shown = bar.add_task("growth", total=sets.count * (edges - 1), unit="edges")
-    growth, found = GrowthSteps(task.recorded), []
+    found = []
 
     def advance(first: int, count: int):
         def step(_, kept, pruned) -> None:
@@ -186,12 +189,12 @@ def _perceived(task: PerceptionTask, detected: list[list], seed_sigma: np.ndarra
         rows = slice(first, first + together)
         maps = distance_maps(detected[rows], MARGIN_PX)
         found.append(perceive(maps, sets.rig, sets.point[rows], sets.direction[rows], task.rest_length, task.material,
-                              up=task.up, options=task.search, on_step=advance(first, len(maps.window)),
+                              up=task.up, options=search, on_step=advance(first, len(maps.window)),
                               surroundings=task.surroundings, start_sigma=seed_sigma[rows]))
-    return Perception.joined(found), growth
+    return Perception.joined(found)
 
 
-def _arrays(task: PerceptionTask, found) -> dict[str, np.ndarray]:
+def _arrays(task: SeenRods, found) -> dict[str, np.ndarray]:
     """The arrays of the file; docs/commands/perceive.md."""
     sound, sigma = _found(found)[:, None], sigma_with_length(found.sigma, found.length_range, task.sets.point is None)
     return {
@@ -222,7 +225,8 @@ def _found(found) -> np.ndarray:
     return found.sound & (found.verdict != PerceptionVerdict.NOT_FOUND)
 
 
-def _shown(options: Namespace, task: PerceptionTask, detected: list[list], found, growth, out: Path) -> list[Path]:
+def _shown(options: Namespace, task: SeenRods, truth: np.ndarray | None, detected: list[list], found, growth: GrowthSteps,
+           out: Path) -> list[Path]:
     """Draw and record the result beside ``out``; returns the files."""
     rig, written = task.sets.rig, []
     there = np.flatnonzero(np.isfinite(found.vertices).all(axis=(1, 2)))
@@ -233,8 +237,8 @@ def _shown(options: Namespace, task: PerceptionTask, detected: list[list], found
         rival, next_best = None, "no other rod"
         if np.isfinite(found.gap[row]):
             rival, next_best = found.runner_up[row, 0], f"next best {found.gap[row]:.2g} px worse"
-        truth = None if task.truth is None else task.truth[row]
-        return SeenRod(task.sets.names[row], images, marks, found.configuration.vertices[row], rival, truth,
+        true = None if truth is None else truth[row]
+        return SeenRod(task.sets.names[row], images, marks, found.configuration.vertices[row], rival, true,
                        f"{_word(found.verdict[row])}, {next_best}")
 
     if len(there) and not options.no_picture:
@@ -242,24 +246,25 @@ def _shown(options: Namespace, task: PerceptionTask, detected: list[list], found
         rods = [seen(row) for row in there[:MOST_SETS]]
         reprojections_picture(picture, rig, rods, up=task.up, left_out=task.sets.count - len(rods))
         written.append(picture)
-    if (there < task.recorded).any() and can_record():
+    rows = [] if options.no_recording else there[there < options.recorded]
+    if len(rows) and can_record():
         from doo_ti.record.images import record_perception
 
         recording = out.with_suffix(".rrd")
-        rows = there[there < task.recorded]
         record_perception(recording, run_id=f"perceive {out.name}", name=out.stem, rig=rig, rods=[seen(row) for row in rows],
                           growth=[growth.of(row, task.sets.point[row], task.rest_length) for row in rows], up=task.up)
         written.append(recording)
     return written
 
 
-def _summary(task: PerceptionTask, detected: list[list], found, failed: dict[int, InputError], written: list[Path]) -> dict:
+def _summary(task: SeenRods, truth: np.ndarray | None, detected: list[list], found, failed: dict[int, InputError],
+             written: list[Path]) -> dict:
     """The content of ``--json``, from which the lines of text are made."""
     from doo_ti.perception.perceive import PerceptionVerdict
 
     error = None
-    if task.truth is not None and task.truth.shape[1] == found.vertices.shape[1]:  # distances to the true rods' marks
-        error = np.linalg.norm(found.vertices - task.truth, axis=-1)
+    if truth is not None and truth.shape[1] == found.vertices.shape[1]:  # distances to the true rods' marks
+        error = np.linalg.norm(found.vertices - truth, axis=-1)
     sets = [{
         "name": name, "length_mm": task.rest_length.sum(), "status": Status(found.status[row]).name.lower(),
         **{name: getattr(found, name)[row] for name in ("stable", "energy_vis", "coverage", "outside", "hidden", *MISREAD)},
@@ -295,18 +300,17 @@ def _lines(summary: dict) -> list[str]:
     sets = summary["sets"]
     width = max(len(entry["name"]) for entry in sets[:MOST_LISTED])
     guess = summary["guessed_bend_mm3"]
+    listed = [f"  {entry['name']:<{width}}  {_set_text(entry, summary['cameras'])}" for entry in sets]
     return [
         f"{counted(len(sets), 'set')} of {len(summary['cameras'])} images, rods of {summary['edges']} edges, "
         f"{sets[0]['length_mm']:.4g} mm long; thread {summary['detected_width_px']:.1f} px wide",
-        *shortened([f"  {entry['name']:<{width}}  {_set_text(entry, summary['cameras'])}" for entry in sets], MOST_LISTED,
-                   "  and {} more, which --json lists"),
-        f"  status      {status_text(summary['status'])}; {summary['stable']} certified stable",
-        f"  verdicts    {status_text(summary['verdicts'])} (docs/commands/perceive.md)",
-        *([] if len(summary["cameras"]) > 1 else
-          ["  one camera  depth is not determined by it: only by the rod's length and stiffness"]),
-        *([] if guess is None else [f"  stiffness   none given: bend {guess:g} mm³ (docs/commands/perceive.md)"]),
-        *([] if summary["orientation"] is None else [f"  orientation {summary['orientation']}"]),
-        *(f"  written to  {in_line(path)}" for path in summary["written"])]
+        *results.shortened(listed, MOST_LISTED, "  and {} more, which --json lists"), *results.rows(
+            ("status", f"{results.status_text(summary['status'])}; {summary['stable']} certified stable"),
+            ("verdicts", f"{results.status_text(summary['verdicts'])} (docs/commands/perceive.md)"),
+            ("one camera", len(summary["cameras"]) == 1 and
+             "depth is not determined by it: only by the rod's length and stiffness"),
+            ("stiffness", guess and f"none given: bend {guess:g} mm³ (docs/commands/perceive.md)"),
+            ("orientation", summary["orientation"]))]
 
 
 def _set_text(entry: dict, cameras: tuple[str, ...]) -> str:

@@ -6,9 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from doo_ti.commands import doubts, loading
-from doo_ti.commands import options as given
-from doo_ti.commands.results import report, save_json
+from doo_ti.commands import doubts, given, loading, results
 from doo_ti.io.scene import Synthesis, load_scene
 from doo_ti.io.toml_file import scene_file
 from doo_ti.report.figures import identifiability_picture
@@ -32,7 +30,7 @@ def declare(add) -> None:
     given.add_clamps(parser)
     given.add_obstacles(parser, "without friction; the rods of a scene begin where they would be without obstacles")
     loading.add_loading(parser)
-    given.add(parser, "--out", "FOLDER", given.FOLDER, "folder for plan.csv, plan.json and identifiability.png (default: not "
+    given.add(parser, "--out", "FOLDER", given.folder, "folder for plan.csv, plan.json and identifiability.png (default: not "
               "written)")
 
 
@@ -61,7 +59,7 @@ def run_plan(options: Namespace) -> int:
     if out is not None:
         _write(out, configurations, found, summary)
     written = [] if out is None else [f"  written to {in_line(out)}"]
-    report(options, summary, lambda: [*_lines(configurations, found, sigma), *written])
+    results.report(options, summary, lambda: [*_lines(configurations, found, sigma), *written])
     return 0
 
 
@@ -79,7 +77,7 @@ def _summary(configurations: Observations, found, sigma: float) -> dict:
 
 def _write(out: Path, configurations: Observations, found, summary: dict) -> None:
     """plan.json, plan.csv and identifiability.png."""
-    save_json(out / "plan.json", summary)
+    results.save_json(out / "plan.json", summary)
     rank = np.full(configurations.count, 0)
     rank[found.order] = 1 + np.arange(len(found.order))
     heads = ["configuration", "end_distance_mm", "end_rotation_deg", *(f"{name}_mm" for name in found.parameters), "all_mm",

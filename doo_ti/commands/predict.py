@@ -7,8 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from doo_ti.commands import doubts, loading, results
-from doo_ti.commands import options as given
+from doo_ti.commands import doubts, given, loading, results
 from doo_ti.commands.moving_rods import OF_MOTIONS, HeldRods, add_motion, check_reach, held_rods, warn_of, warn_of_start
 from doo_ti.dynamics.parameters import LEAST_WAY, Dynamics, Stepping
 from doo_ti.io.scene import PRECISIONS
@@ -20,8 +19,8 @@ from doo_ti.rod.frames import matrix_from_quaternion
 from doo_ti.rod.material import STANDARD_GRAVITY
 from doo_ti.rod.types import Clamp, Configuration, Status
 from doo_ti.system.arguments import counted
-from doo_ti.system.errors import InputError
-from doo_ti.system.terminal import in_line, progress
+from doo_ti.system.errors import require
+from doo_ti.system.terminal import progress
 
 MOST_LISTED = 30
 DEGREES = given.number("a number of degrees from 0.001 to 30", lambda degrees: 1e-3 <= degrees <= 30)
@@ -48,8 +47,7 @@ def declare(add) -> None:
     given.add_clamps(parser)
     loading.add_loading(parser, "OBS and PATH")
     given.add_obstacles(parser, "with friction, where an obstacle has any, from one step to the next")
-    parser.add_argument("--precision", choices=PRECISIONS, default="mixed",
-                        help="floating-point arithmetic of the stored steps (default mixed)")
+    given.add(parser, "--precision", None, PRECISIONS, "floating-point arithmetic of the stored steps", "mixed")
     given.add_file(parser, "--picture", "F.png", "also draw the motion (default: no)")
     given.add_file(parser, "--recording", "F.rrd", "also record it for the viewer (default: no)")
 
@@ -63,9 +61,8 @@ def run(options: Namespace) -> int:
         warn_of(rods, options)
     stepping = _stepping(rods, between, sub_step)
     count, intervals = len(rods.names), (rods.path.moments - 1) * between
-    if count * intervals * rods.start.edges * 32 > MOST_BYTES:
-        raise InputError(given.SOURCE, "--steps-between", f"{count} rods at {intervals + 1} moments are too many to hold",
-                         "give fewer materials, observations or moments")
+    require(count * intervals * rods.start.edges * 32 <= MOST_BYTES, given.SOURCE, "--steps-between",
+            f"{count} rods at {intervals + 1} moments are too many to hold", "give fewer materials, observations or moments")
 
     from doo_ti.motion.predict import predict, predict_moving
 
@@ -89,7 +86,7 @@ def run(options: Namespace) -> int:
     if options.picture or options.recording:
         _draw(rods, prediction, result, options.picture, options.recording, lines)
     loaded = [] if rods.observations is None else [loading.rod_line(rods.observations)]
-    results.report(options, summary, lambda: [*lines, *loaded, f"  written to {in_line(out)}"])
+    results.report(options, summary, lambda: lines + loaded)
     return 0 if prediction.followed[-1].any() else 1
 
 

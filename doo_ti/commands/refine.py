@@ -9,10 +9,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from doo_ti.commands import doubts, loading
-from doo_ti.commands import options as given
+from doo_ti.commands import doubts, given, loading, results
 from doo_ti.commands.refine_text import summary_lines, summary_of
-from doo_ti.commands.results import note_theta, plain, save_json
 from doo_ti.io.arrays import read_npz
 from doo_ti.learning.chunks import DENSITY, read_summary
 from doo_ti.learning.landscape import Landscape, plane_of, read_landscape
@@ -21,7 +19,7 @@ from doo_ti.report.landscapes import landscape_picture
 from doo_ti.rod.observations import UNKNOWN_SPACING, Observations
 from doo_ti.rod.start import check_experiment, observation_clamps
 from doo_ti.rod.types import Clamps
-from doo_ti.system.errors import InputError
+from doo_ti.system.errors import InputError, require
 from doo_ti.system.files import read_content
 from doo_ti.system.terminal import busy, in_line
 
@@ -140,12 +138,12 @@ def run(options: Namespace) -> int:
             print("\n".join([first, loading.rod_line(task.observations), *rest, *kept]))
         doubts.say(task.observations.source, loading.up_text(summaries[-1]["other_up"]))
     if out is not None:
-        save_json(out, summaries)
+        results.save_json(out, summaries)
     if options.json:
-        print(json.dumps(plain(summaries)))
+        print(json.dumps(results.plain(summaries)))
     elif out is not None:
         print(f"written to {in_line(out)}")
-    note_theta(options)
+    results.note_theta(options)
     return 0
 
 
@@ -153,7 +151,7 @@ def _kept(landscape, found, summary: dict) -> list[Path]:
     """Write the result into the folder of its run, as --json prints it, and where the grid has two of the learned parameters
     the landscape with their joint 95 % region; returns the files."""
     path, grid, estimate = landscape.run / REFINED, landscape.grid, found.estimate
-    save_json(path, [summary])
+    results.save_json(path, [summary])
     free = [axis.name for axis in grid.axes if len(axis) > 1]
     pair = [{"twist_ratio": "twist"}.get(name, name) for name in free]
     if len(free) != 2 or not set(pair) <= set(estimate.names) or np.isnan(landscape.mean_distance).all():
@@ -186,7 +184,7 @@ def _task(options: Namespace, source: str) -> Task:
     if options.spacing_error is not None:
         observations = replace(observations, spacing_error=options.spacing_error)
     loads = None if options.mass is None else _loads(options.mass, observations, density)
-    kinds = tuple(kind if own is None else own for own, kind in zip(given.clamps(options), kinds, strict=True))
+    kinds = given.clamps(options, kinds)
     exact = "exact" in (options.clamps, options.frames)
     every, observations = observations.labels, loading.with_ends_in_reach(observations, *kinds, exact)
     loads = None if loads is None else loads[np.isin(every, observations.labels)]
@@ -207,9 +205,8 @@ def _task(options: Namespace, source: str) -> Task:
 def _loads(text: str, observations: Observations, density: float | None) -> np.ndarray:
     """(D, M) weights in the package's unit of the bodies that ``--mass`` states: as much as so many mm of rod weigh."""
     count, marks = observations.valid.shape
-    if density is None:
-        raise InputError(given.SOURCE, "--mass", "given without --linear-density", "give that of the rod, or a guess beside "
-                         "--parameters bend,twist,weight")
+    require(density is not None, given.SOURCE, "--mass", "given without --linear-density",
+            "give that of the rod, or a guess beside --parameters bend,twist,weight")
     if text.endswith(".npz"):
         mass = read_npz(Path(text), read_content(Path(text), remedy="name a readable .npz file"), ("mass_g",)).get("mass_g")
         if mass is None or mass.shape != (count, marks) or mass.dtype.kind not in "iuf":
@@ -233,17 +230,15 @@ def _of_run(options: Namespace, run: Path):
     given.refuse(options, (*given.MATERIAL, *loading.OF_OBSERVATIONS, "obstacles", "radius", "mass"),
                  f"given, but {run} is the run of a sweep", "leave it out, or name a file of observations")
     experiment, landscape = read_experiment(run), read_landscape(run)
-    if experiment.options.objective != "static" or experiment.options.spins:
-        raise InputError(run, "objective", "a sweep of Eq. 3, or with roll hypotheses",
-                         "name a static sweep without --roll-hypotheses")
+    require(experiment.options.objective == "static" and not experiment.options.spins, run, "objective",
+            "a sweep of Eq. 3, or with roll hypotheses", "name a static sweep without --roll-hypotheses")
     observations = experiment.observations if options.up is None else replace(experiment.observations, up=options.up)
     height = landscape.mean_distance
     if np.isnan(height).all():  # no cell has all its rods certified: start from those that have most of them
         few = landscape.unsound == landscape.unsound.min()
         height = np.where(few, landscape.distance_of_sound, np.nan)
     cells = lowest_cells(experiment.grid, height, options.starts)
-    if not len(cells):
-        raise InputError(run, "distance_mm", "no cell has an error", "look at the rods' status in cells/")
+    require(len(cells), run, "distance_mm", "no cell has an error", "look at the rods' status in cells/")
     thetas = tuple(theta_of_cell(experiment.grid, cell, observations.up) for cell in cells)
     thetas += (common_rod(thetas[0]),)  # the best cells of rods taken for straight may all be wrong in twist
     own = experiment.options

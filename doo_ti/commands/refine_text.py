@@ -1,11 +1,12 @@
 """The output of ``doo-ti refine``: a summary as JSON, and lines of text made of it."""
 
 from dataclasses import asdict
+from functools import partial
 
 import numpy as np
 
+from doo_ti.commands import results
 from doo_ti.commands.loading import up_text
-from doo_ti.commands.results import listed, rows, status_text
 from doo_ti.contact.obstacle_file import described
 from doo_ti.contact.surroundings import Surroundings
 from doo_ti.rod.material import relative_stiffness, stiffness
@@ -16,12 +17,10 @@ LISTED = 6  # observations named individually
 CLEAR_ODDS = 1.0  # ln of the odds, about 3 to 1: models closer than that predict as well
 DECISIVE = 30.0  # rise of twice the log evidence
 STRAIGHT = 1e-6  # 1/mm: a radius of a kilometre
+_rows = partial(results.rows, width=19)
 SYMBOLS = {"bend": "EI", "bend_1": "EI_1", "bend_2": "EI_2", "twist": "GJ"}
-MODELS = {
-    "straight": "straight at rest",
-    "curved": "curved at rest",
-    "ribbon": "as fitted, bend stiffness different about m1 and m2",
-}
+MODELS = {"straight": "straight at rest", "curved": "curved at rest",
+          "ribbon": "as fitted, bend stiffness different about m1 and m2"}
 
 
 def summary_of(observations: Observations, surroundings: Surroundings, found, held_out, density: float | None,
@@ -58,7 +57,8 @@ def summary_of(observations: Observations, surroundings: Surroundings, found, he
         "reaches_noise": found.adequacy.reaches_noise,
         "turns_open": all((observations.total_twist is None, observations.start_frame is not None,
                            observations.end_frame is not None, observations.frames is None)),
-        "advice": [asdict(one) | {"option": _option(one.option)} for one in found.adequacy.advice],
+        "advice": [asdict(one) | {"option": "--" + one.option.replace("_", "-").replace("=", " ")}
+                   for one in found.adequacy.advice],
         "sensitive": [{"observation": observations.labels[one.observation], "parameter": one.parameter, "factor": one.factor}
                       for one in found.adequacy.influences],
         "models": [asdict(score) for score in found.scores],
@@ -129,7 +129,7 @@ def summary_lines(summary: dict) -> list[str]:
     rivals = ", ".join(bend for bend in dict.fromkeys(bends) if bend != own)
     curved = _curved(summary)
     unround = next((one["option"] for one in summary["advice"] if one["meaning"] == UNROUND and one["gain"] > DECISIVE), None)
-    interval = interval_text if summary["converged"] else _without_interval
+    interval = partial(interval_text, summary["converged"])
     elsewhere = "at more cells (--starts N)" if summary["of_run"] else "at the run of a sweep (doo-ti sweep first)"
     return [
         f"{in_line(summary['material'])}: {summary['rods_used']} of {summary['observations']} observations, "
@@ -174,14 +174,13 @@ def _curved(summary: dict) -> bool:
     return summary["rest_curvature_per_mm"]["root_mean_square"] >= STRAIGHT
 
 
-def _rows(*entries: tuple[str, str | object]) -> list[str]:
-    return rows(*entries, width=19)
-
-
-def interval_text(value: float, low: float | None, high: float | None, unit: str) -> str:
-    """A value with its interval; bounded on one side only that bound; else that it is not determined."""
+def interval_text(converged: bool, value: float, low: float | None, high: float | None, unit: str) -> str:
+    """A value with its interval; bounded on one side only that bound; else that it is not determined. Where a fit has stopped
+    the value alone: its interval would be that of another place."""
     from doo_ti.refinement.estimate import WIDE_FACTOR
 
+    if not converged:
+        return f"{value:.4g} {unit}".rstrip() + "  (no interval: not converged)"
     if low is None and high is None:
         return "not determined"
     if high is None:
@@ -190,17 +189,6 @@ def interval_text(value: float, low: float | None, high: float | None, unit: str
         return f"at most {high:.3g} {unit}".rstrip()
     wide = f"  (wide: more than a factor of {WIDE_FACTOR:g})" if low > 0 and high > WIDE_FACTOR * low else ""
     return f"{value:.4g} ({low:.4g} .. {high:.4g}) {unit}".rstrip() + wide
-
-
-def _without_interval(value: float, low: float | None, high: float | None, unit: str) -> str:
-    """The value where a fit has stopped; its interval would be that of another place."""
-    return f"{value:.4g} {unit}".rstrip() + "  (no interval: not converged)"
-
-
-def _option(argument: str) -> str:
-    """``rest_curvature=field`` as ``--rest-curvature field``."""
-    name, _, value = argument.partition("=")
-    return f"--{name.replace('_', '-')} {value}"
 
 
 def _adequacy_lines(summary: dict) -> list[str]:
@@ -226,9 +214,9 @@ def _adequacy_lines(summary: dict) -> list[str]:
 
 def _rods_lines(summary: dict) -> list[str]:
     """The observations that were left out, those that do not fit, and those that a result rests on."""
-    misfits = listed(summary["misfits"], LISTED)
+    misfits = results.listed(summary["misfits"], LISTED)
     return _rows(
-        ("left out", status_text(summary["left_out"])),
+        ("left out", results.status_text(summary["left_out"])),
         ("misfits", misfits and f"observations far from every equilibrium that was tried: {misfits}"),
         *(("mislabelled", f"observation {one['observation']}: {one['why']}") for one in summary["mislabelled"]),
         *(("sensitive", f"without observation {one['observation']} {one['parameter']} would be {one['factor']:.3g} times as "

@@ -5,10 +5,8 @@ from pathlib import Path
 
 import numpy as np
 
-from doo_ti.commands import doubts, loading, results
-from doo_ti.commands import options as given
+from doo_ti.commands import doubts, given, loading, results
 from doo_ti.commands.moving_rods import with_rest_curvature
-from doo_ti.commands.results import refuse_overwriting
 from doo_ti.learning.landscape import status_counts
 from doo_ti.rod.frames import total_twist
 from doo_ti.rod.grid import Grid
@@ -16,7 +14,7 @@ from doo_ti.rod.observations import Observations
 from doo_ti.rod.start import check_experiment, choose_hypothesis, observation_clamps, start_configuration, turn_hypotheses
 from doo_ti.rod.types import Status
 from doo_ti.system.arguments import counted
-from doo_ti.system.terminal import busy, in_line
+from doo_ti.system.terminal import busy
 
 WRITTEN = ("energy", "status", "iterations", "residual", "stable", "end_force")
 
@@ -40,7 +38,7 @@ def run_relax(options: Namespace) -> int:
     observations = loading.load(options, options.observations)
     clamps = observation_clamps(observations, *given.clamps(options))
     check_experiment(observations, clamps, grid.axes[-1].values[-1], frame_weight)
-    refuse_overwriting(out, options.observations)
+    results.refuse_overwriting(out, options.observations)
     doubts.warn(observations, surroundings, **loading.stated(options))
 
     from doo_ti.learning.experiment import SOLVERS
@@ -106,5 +104,4 @@ def _lines(observations: Observations, grid: Grid, result: dict, summary: dict) 
              f"{observations.labels[np.nanargmax(result['distance_mm'])]} (Eq. 1)"),
             *results.mesh_rows(summary), results.contact_row(summary, observations.count),
             ("infeasible", summary["infeasible_reason"]),
-            ("iterations", f"median {summary['median_iterations']:.0f}, most {int(result['iterations'].max())}")),
-        f"  written to {in_line(summary['out'])}"]
+            ("iterations", f"median {summary['median_iterations']:.0f}, most {int(result['iterations'].max())}"))]

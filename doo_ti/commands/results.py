@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from doo_ti.commands import options as given
+from doo_ti.commands import given
 from doo_ti.contact.surroundings import Surroundings
 from doo_ti.io.observation_tables import write_rod_table
 from doo_ti.rod.grid import Grid, Interval
@@ -108,9 +108,14 @@ def plain(value):
 # --- standard output -----------------------------------------------------------------------------------------------------
 
 
-def report(options: Namespace, summary, lines: Callable[[], list[str]]) -> None:
-    """Print the ``summary`` as one line of JSON with ``--json``, else the ``lines`` of text."""
-    print(json.dumps(plain(summary)) if options.json else "\n".join(lines()))
+def report(options: Namespace, summary: dict, lines: Callable[[], list[str]], indent: str = "  ") -> None:
+    """Print the ``summary`` as one line of JSON with ``--json``, else the ``lines`` of text, and which files were written: its
+    ``out``, or those in ``written``."""
+    if options.json:
+        print(json.dumps(plain(summary)))
+    else:
+        files = [f"{indent}written to {in_line(summary['out'])}"] if "out" in summary else []
+        print("\n".join([*lines(), *files, *rows(*(("written to", in_line(path)) for path in summary.get("written", ())))]))
     note_theta(options)
 
 

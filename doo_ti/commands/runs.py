@@ -8,12 +8,11 @@ from pathlib import Path
 from shutil import get_terminal_size
 from tempfile import TemporaryDirectory
 
-from doo_ti.commands import options as given
-from doo_ti.commands.results import plain, report, run_lines, save_json, theta_of, theta_text
+from doo_ti.commands import given, results
 from doo_ti.learning.cross_validation import FACTORS, check_comparable, cross_validate, partition, usual_factors
 from doo_ti.learning.landscape import Landscape, read_landscape
 from doo_ti.learning.score_table import caption, comma_separated, entries, file_stem, markdown, text
-from doo_ti.system.errors import InputError, InterruptedRunError
+from doo_ti.system.errors import InputError, InterruptedRunError, require
 from doo_ti.system.files import write_text
 from doo_ti.system.terminal import busy, in_line
 
@@ -30,29 +29,25 @@ def declare(add) -> None:
                              "(default: those of the paper that the runs allow)")
     given.add(parser, "--end-distances", "MM,MM", given.NUMBERS, "end distances to compare in tables by end distance (default: "
               "all)")
-    given.add(parser, "--out", "FOLDER", given.FOLDER, "folder for learn.json and the tables as .csv and .md (default: not "
+    given.add(parser, "--out", "FOLDER", given.folder, "folder for learn.json and the tables as .csv and .md (default: not "
               "written)")
     parser = given.command(add, "figures", run_figures, "draw and record the landscapes of finished sweeps")
     parser.add_argument("runs", nargs="+", metavar="RUN", help="folders that sweep wrote, over one grid")
-    given.add(parser, "--out", "FOLDER", given.FOLDER, "folder to write", required=True)
-    parser.add_argument("--by", choices=("end-distance",), dest="by_end_distance",
-                        help="also draw a landscape for each end distance")
+    given.add(parser, "--out", "FOLDER", given.folder, "folder to write", required=True)
+    given.add(parser, "--by", None, ("end-distance",), "also draw a landscape for each end distance", dest="by_end_distance")
     parser.add_argument("--cells", metavar="all|N", type=given.either({"all": None}, given.COUNT), default=MOST_CELLS,
                         help=f"how many cells of the grid to record, evenly spread (default: at most {MOST_CELLS})")
     given.add(parser, "--observation", "N", given.FROM_ZERO, "the observation whose ribbon is drawn in each regime (default: "
               "the one where the regimes differ most)")
     parser = given.command(add, "view", run_view, "open a run's recording in the rerun viewer", json=False)
     parser.add_argument("recording", metavar="RUN", help="folder of a run, finished or not, or an .rrd file")
-    given.add(parser, "--out", "FOLDER", given.FOLDER, "for an unfinished sweep: folder for landscape.png and run.rrd of the "
+    given.add(parser, "--out", "FOLDER", given.folder, "for an unfinished sweep: folder for landscape.png and run.rrd of the "
               "cells so far, instead of a window")
     shown = parser.add_mutually_exclusive_group()
     shown.add_argument("--web", action="store_true",
                        help="serve the viewer to a browser on this machine until Ctrl-C, instead of opening a window")
     given.add_file(shown, "--screenshot", "FILE.png",
                    "save a picture of the viewer, without a display (needs a Vulkan driver: docs/recording.md)")
-
-
-# --- learn ---------------------------------------------------------------------------------------------------------------
 
 
 def run_learn(options: Namespace) -> int:
@@ -69,24 +64,23 @@ def run_learn(options: Namespace) -> int:
     with busy("cross-validating"):
         tables = {by: [cross_validate(one) for one in found] for by, found in partitions.items()}
     every = [scores for found in tables.values() for scores in found]
-    summary = plain({"runs": [_best_of(landscape) for landscape in landscapes],
-                     "tables": [{
-                         "caption": caption(scores), "by": scores.partition.by, "within": scores.partition.within,
-                         "unlabelled": scores.partition.unlabelled, "training_error_mm": dict(zip(
-                             (part.label for part in scores.partition.parts), scores.training, strict=True)),
-                         "entries": entries(scores)} for scores in every]})
+    summary = {"runs": [_best_of(landscape) for landscape in landscapes], "tables": [{
+        "caption": caption(scores), "by": scores.partition.by, "within": scores.partition.within,
+        "unlabelled": scores.partition.unlabelled,
+        "training_error_mm": dict(zip((part.label for part in scores.partition.parts), scores.training, strict=True)),
+        "entries": entries(scores)} for scores in every]}
     if out is not None:
-        save_json(out / "learn.json", summary)
+        results.save_json(out / "learn.json", summary)
         for by, found in tables.items():
             write_text(out / f"{file_stem(by)}.csv", comma_separated(found))
             write_text(out / f"{file_stem(by)}.md", "\n".join(markdown(scores) for scores in found))
 
     def lines() -> list[str]:
-        found = [line for landscape in landscapes for line in run_lines(landscape.as_dict())]
+        found = [line for landscape in landscapes for line in results.run_lines(landscape.as_dict())]
         found += [f"\n{text(scores, get_terminal_size((120, 24)).columns)}" for scores in every]
         return found if out is None else [*found, f"\nwritten to {in_line(out)}"]
 
-    report(options, summary, lines)
+    results.report(options, summary, lines)
     return 0
 
 
@@ -98,9 +92,6 @@ def _best_of(landscape: Landscape) -> dict:
     return {"run": str(landscape.run), **{name: result[name] for name in ("material", "objective", "jumps") if name in result},
             **result["best"], "intervals": result["intervals_within_5_percent"], "stable": status.pop("stable"),
             "status": status, **landscape.competition}
-
-
-# --- figures -------------------------------------------------------------------------------------------------------------
 
 
 def run_figures(options: Namespace) -> int:
@@ -126,12 +117,9 @@ def run_figures(options: Namespace) -> int:
         return found + [f"  written     {in_line(file['path'])} ({file['bytes'] / 1e6:.1f} MB, {file['seconds']:.1f} s)"
                         for file in files]
 
-    report(options, {"runs": names, "cells": cells, "recorded_cells": recorded, "recorded_values": study.recorded_values,
-                     "files": files}, lines)
+    results.report(options, {"runs": names, "cells": cells, "recorded_cells": recorded,
+                             "recorded_values": study.recorded_values, "files": files}, lines)
     return 0
-
-
-# --- view ----------------------------------------------------------------------------------------------------------------
 
 
 def run_view(options: Namespace) -> int:
@@ -143,8 +131,7 @@ def run_view(options: Namespace) -> int:
     unfinished = path.is_dir() and not (path / RECORDING).exists() and (path / PLAN).exists()
     out, picture = options.out, options.screenshot
     if out is not None:
-        if not unfinished:
-            raise InputError(path, "--out", "given, but there is a recording", "leave --out out, or copy the recording")
+        require(unfinished, path, "--out", "given, but there is a recording", "leave --out out, or copy the recording")
         if out.resolve().is_relative_to(path.resolve()):
             raise InputError(out, "--out", "is inside the run, where only the sweep writes", "name another folder")
         _draw_unfinished(path, out)
@@ -185,7 +172,7 @@ def _draw_unfinished(run: Path, folder: Path) -> None:
         found = read_unfinished(run)
     landscape = found.landscape
     print(f"{in_line(landscape.name)}: {found.done} stored, the last of them {found.age:,.0f} s ago")
-    print(f"  best so far {theta_text(theta_of(landscape.grid, landscape.best), landscape.grid.is_isotropic)}")
+    print(f"  best so far {results.theta_text(results.theta_of(landscape.grid, landscape.best), landscape.grid.is_isotropic)}")
     print(f"  distance    mean {landscape.mean_distance[landscape.best]:.4g} mm (Eq. 1)")
     with busy("drawing"):
         found.draw(folder)

@@ -6,34 +6,26 @@ from pathlib import Path
 
 import numpy as np
 
-from doo_ti.commands import doubts, loading, results
-from doo_ti.commands import options as given
-from doo_ti.commands.moving_rods import (
-    LOSSES,
-    OF_MOTIONS,
-    SimulatedRods,
-    add_losses,
-    add_motion,
-    require_length,
-    simulated_rods,
-)
-from doo_ti.commands.results import refuse_overwriting
+from doo_ti.commands import doubts, given, loading, moving_rods, results
+from doo_ti.commands.moving_rods import LOSSES, OF_MOTIONS, SimulatedRods
 from doo_ti.contact.surroundings import Surroundings
 from doo_ti.contact.touch import Touch
 from doo_ti.dynamics.parameters import Stepping
 from doo_ti.io.pose_table import holds_poses
+from doo_ti.io.scene import PRECISIONS
 from doo_ti.io.toml_file import scene_file
 from doo_ti.learning.landscape import status_counts
 from doo_ti.report.contact import Touched
 from doo_ti.report.motions import save_animation, save_rollout
 from doo_ti.rod.types import Clamp, Status
 from doo_ti.system.arguments import counted
-from doo_ti.system.errors import InputError
+from doo_ti.system.errors import InputError, require
 from doo_ti.system.terminal import busy, in_line, progress, warn
 
 CLAMPS = ("clamp_start", "clamp_end")
+OF_STEPPING = ("substeps", "scheme", "precision", "tolerance", "most_substeps", "quasi_static")  # options that are its fields
 MOST_LISTED = 8
-ENERGY = "energy_{}"
+OF_ALL = ("rate_hz", "recording")  # arrays that have no row for each rod
 NOTABLE = 0.02  # share of the energy: what the time steps lose beyond it is said
 SPLIT = ("kinetic", "gravity", "bending", "twist", "dissipated", "work", "unaccounted", "sum")
 """Energies in pictures and recordings."""
@@ -73,17 +65,15 @@ def declare(add) -> None:
     given.add(parser, "--tolerance", "MM", given.LENGTH, "estimate the error of the time steps, and double them for each rod "
               "until it is below this in all frames (default: fixed steps, no estimate)")
     given.add(parser, "--most-substeps", "N", given.whole(2, 4096), "with --tolerance, at most (default 64)")
-    parser.add_argument("--scheme", choices=("bdf2", "euler"),
-                        help="of time steps: second order, or backward Euler (default bdf2)")
-    parser.add_argument("--precision", choices=("f32", "f64", "mixed"), default="f64",
-                        help="arithmetic; mixed: f32, and f64 for rods that it cannot finish (default f64)")
+    given.add(parser, "--scheme", None, ("bdf2", "euler"), "of time steps: second order, or backward Euler (default bdf2)")
+    given.add(parser, "--precision", None, PRECISIONS, "arithmetic; mixed: f32, and f64 for rods that it cannot finish", "f64")
     parser.add_argument("--quasi-static", action="store_true", help="without inertia and drag: every step is an equilibrium "
                         "(default: as the scene says)")
     given.add_material(parser, "of rods that observations show: a number or LO:HI:N[:log|:lin]; a RECORDING needs --theta",
                        given.EVERYTHING, "for --EI, --GJ and forces in N")
-    add_losses(parser)
+    moving_rods.add_losses(parser)
     given.add_clamps(parser)
-    add_motion(parser)
+    moving_rods.add_motion(parser)
     parser.add_argument("--start", metavar="OBS", help=SUPPRESS)
     parser.set_defaults(theta_note=None)
     loading.add_rest_length(parser)
@@ -98,9 +88,8 @@ def run(options: Namespace) -> int:
     out, up = options.out, given.world_up(options)
     if options.tolerance is None:
         given.refuse(options, ("most_substeps",), "given without --tolerance", "give both, or --substeps")
-    changes = {name: getattr(options, name) for name in ("substeps", "scheme", "precision", "tolerance", "most_substeps")}
-    changes["quasi_static"] = options.quasi_static or None
-    changes = {name: value for name, value in changes.items() if value is not None}  # fields of Stepping
+    stated = vars(options) | {"quasi_static": options.quasi_static or None}
+    changes = {name: stated[name] for name in OF_STEPPING if stated[name] is not None}
     if Path(options.source).suffix == ".toml":
         found = _scene(options, changes, up)
     else:
@@ -110,13 +99,11 @@ def run(options: Namespace) -> int:
             raise InputError(options.source, "file", "holds poses of grippers, and no rods", "give observations of the "
                              "rods, and this file as --motion")
         found = _recorded(options, out, changes, up) if options.motion is None else _carried(
-            options, simulated_rods(options, out, changes))
+            options, moving_rods.simulated_rods(options, out, changes))
     arrays, summary = _results(found, out)
     whole = arrays
     if found.alone:
-        per_rod = {"positions_mm", "status", "error_mm", "substeps", "step_error_mm", *map(ENERGY.format, found.energies),
-                   *found.contact, "end_force", "end_force_N", "contact_force_N"}
-        arrays = {key: value[0] if key in per_rod else value for key, value in arrays.items()}
+        arrays = {key: value if key in OF_ALL else value[0] for key, value in arrays.items()}
     results.save_arrays(out, arrays, ("frame",) if found.alone else ("rod", "frame"))
     _draw(found, options.picture, options.recording, options.animation)
     if summary.get("above_tolerance"):
@@ -136,33 +123,30 @@ def _recorded(options: Namespace, out: Path, changes: dict, up: np.ndarray) -> _
                  "leave it out, or give observations with --motion")
     theta, surroundings = given.theta(options), given.surroundings(options)
     motion, = loading.recordings(options, [options.source])
-    refuse_overwriting(out, options.source)
-    if motion.edges != len(theta.rest_length):
-        raise InputError(options.theta, "rest_length_mm", f"{len(theta.rest_length)} edges, {in_line(options.source)} has "
-                         f"{motion.edges}", "give the theta of this rod")
-    require_length(options.theta, theta, float(motion.edge_lengths().sum()))
+    results.refuse_overwriting(out, options.source)
+    require(motion.edges == len(theta.rest_length), options.theta, "rest_length_mm",
+            f"{len(theta.rest_length)} edges, {in_line(options.source)} has {motion.edges}", "give the theta of this rod")
+    moving_rods.require_length(options.theta, theta, float(motion.edge_lengths().sum()))
     doubts.warn_of_rod(options.source, theta.rest_length, surroundings)
     own_up = up if options.up is not None else motion.up
     theta = theta if own_up is None else replace(theta, up=own_up)
     stepping = Stepping(motion.rate, **changes)
     with progress() as bar:
         task = bar.add_task("simulating", total=motion.count * (motion.positions.shape[1] - 2), unit="rods x frames")
-        rollouts = Rollouts.of(motion, theta, stepping, IdentifyOptions.end, surroundings, options.smoothing,
-                               finer=True)
+        rollouts = Rollouts.of(motion, theta, stepping, IdentifyOptions.end, surroundings, options.smoothing, finer=True)
         positions, status, energies, found = rollouts.simulated(
             theta, progress=lambda done: bar.update(task, completed=motion.count * done))
+    contact = found.contact_force, found.friction_work, found.touch
     return _Simulated(Path(options.source).stem, list(motion.names), positions, status, motion.rate, theta.up,
                       motion.positions, tuple(motion.glitches()), motion.alone, energies, found.substeps,
                       None if stepping.tolerance is None else found.error, stepping.tolerance, surroundings,
-                      _contact(surroundings, positions, found.contact_force, found.friction_work, found.touch),
+                      _contact(surroundings, positions, *contact) if surroundings else {},
                       given.newtons(options, np.full(motion.count, 1.0 - theta.marker_share)), found.end_force)
 
 
 def _contact(surroundings: Surroundings, positions: np.ndarray, force, work, touch) -> dict[str, np.ndarray]:
-    """What is written of contact, with obstacles: at every frame forces (R, T, V, 3), smallest gaps and work of friction
+    """What is written of contact with ``surroundings``: at every frame forces (R, T, V, 3), smallest gaps and work of friction
     (R, T), and what sticks and slips (R, T, V)."""
-    if not surroundings:
-        return {}
     gap = surroundings.smallest_gaps(np.swapaxes(positions, 0, 1)).T
     return {"contact_force": force, "smallest_gap_mm": gap, "friction_work": work, "touch": touch}
 
@@ -232,7 +216,7 @@ def _carried(options: Namespace, moved: SimulatedRods) -> _Simulated:
 def _results(found: _Simulated, out: Path) -> tuple[dict, dict]:
     arrays = {"positions_mm": found.positions, "status": found.status, "rate_hz": np.float64(found.rate),
               "recording": np.array(found.names), "substeps": found.substeps}
-    arrays |= {ENERGY.format(name): value for name, value in found.energies.items()} | found.contact
+    arrays |= {f"energy_{name}": value for name, value in found.energies.items()} | found.contact
     before = found.positions.shape[1] - found.end_force.shape[1]  # frames at which the motion begins, whose force is not known
     arrays["end_force"] = np.pad(found.end_force, ((0, 0), (before, 0), (0, 0)), constant_values=np.nan)
     arrays = results.in_newton(arrays, None if found.newtons is None else np.broadcast_to(found.newtons, len(found.names)), 0)
@@ -259,7 +243,7 @@ def _results(found: _Simulated, out: Path) -> tuple[dict, dict]:
         arrays["error_mm"] = mean_error(found.positions, found.recorded)
         each = arrays["error_mm"][:, 2:].mean(axis=1)
         sound = each[np.isfinite(each)]
-        summary |= {"error_mm": {name: value for name, value in zip(found.names, each, strict=True)},
+        summary |= {"error_mm": dict(zip(found.names, each, strict=True)),
                     "mean_error_mm": sound.mean() if len(sound) else np.nan,
                     "median_error_mm": np.median(sound) if len(sound) else np.nan, "glitches": list(found.glitches)}
     return arrays, summary
@@ -292,8 +276,7 @@ def _lines(found: _Simulated, summary: dict, arrays: dict) -> list[str]:
             ("error", found.recorded is not None and
              f"mean {summary['mean_error_mm']:.4g} mm, median {summary['median_error_mm']:.4g} mm over recordings (mean "
              "|difference| over markers and coordinates, grippers' included)"),
-            *(("glitch", in_line(line)) for line in glitches)),
-        f"  written to {in_line(summary['out'])}"]
+            *(("glitch", in_line(line)) for line in glitches))]
 
 
 def _lost_share(energies: dict[str, np.ndarray]) -> np.ndarray:

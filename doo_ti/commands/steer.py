@@ -11,10 +11,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from doo_ti.commands import doubts, image_options, loading
-from doo_ti.commands import options as given
+from doo_ti.commands import doubts, given, image_options, loading, results
 from doo_ti.commands.moving_rods import settled, with_rest_curvature
-from doo_ti.commands.results import refuse_overwriting, report
 from doo_ti.contact.surroundings import Surroundings
 from doo_ti.io.motion_file import ClampPath, path_table
 from doo_ti.report.motions import servo_picture
@@ -23,7 +21,7 @@ from doo_ti.rod.observations import Observations
 from doo_ti.rod.shapes import end_clamps
 from doo_ti.rod.start import check_experiment, observation_clamps
 from doo_ti.rod.types import POSES, Clamp, Clamps, Material, Solution
-from doo_ti.system.errors import InputError, InterruptedRunError
+from doo_ti.system.errors import InputError, InterruptedRunError, require
 from doo_ti.system.files import csv_text, write_text
 from doo_ti.system.terminal import busy, can_record, in_line, progress, warn
 from doo_ti.vision.cameras import Rig
@@ -49,7 +47,7 @@ def declare(add) -> None:
                            "bring a rod to a shape by what cameras see of it, in the virtual lab (§VI)")
     add_steered(parser)
     image_options.add_rig(parser)
-    given.add(parser, "--out", "DIR", given.FOLDER, f"folder for {PATH}, {TABLE}, {PICTURE} and {RECORDING}", required=True)
+    given.add(parser, "--out", "DIR", given.folder, f"folder for {PATH}, {TABLE}, {PICTURE} and {RECORDING}", required=True)
     lab = parser.add_argument_group("virtual lab", "the true rod and its images")
     given.add(lab, "--true-EI", "NM2", given.positive("N m²"), "bend stiffness of the true rod in N m² (default: the model's)")
     given.add(lab, "--true-GJ", "NM2", given.positive("N m²"), "its twist stiffness in N m² (default: the model's)")
@@ -86,14 +84,13 @@ def run_steer(options: Namespace) -> int:
         warn(f"{in_line(options.start)}: its grippers are taken to hold half of each outer edge; if they end at the outer "
              f"marks, the rod ends about {path.clamp_error:.2g} mm elsewhere; give START and TARGET more vertices then")
     summary = {"reached": path.reached, "distance_mm": path.distance, "mesh_error_mm": path.mesh_error,
-               "clamp_error_mm": path.clamp_error,
-               "moments": path.moments, "seconds": path.time[-1], "out": str(out)}
-    report(options, summary, lambda: [
+               "clamp_error_mm": path.clamp_error, "moments": path.moments, "seconds": path.time[-1], "out": str(out)}
+    results.report(options, summary, lambda: [
         f"{rod.observations.name}: target {'reached' if path.reached else 'not reached'}, {path.distance:.3g} mm from it "
         "(root mean square)", f"  path        {path.moments} moments, certified stable, without a jump",
         f"  mesh error  {path.mesh_error:.2g} mm: about how far a rod of many edges ends from that",
         f"  clamps      {path.clamp_error:.2g} mm: about how far it ends from that if they end at the outer marks",
-        loading.rod_line(rod.observations), f"  written to {in_line(out)}"])
+        loading.rod_line(rod.observations)])
     return 0
 
 
@@ -120,9 +117,8 @@ class SteeredRod:
 
         begin = settled(self.observations, self.clamps, self.material, self.surroundings)
         start = relax(begin, self.material, self.clamps, up=self.observations.up, **self.surroundings.arguments)
-        if not (start.converged & start.stable).all():
-            raise InputError(self.source, "vertices_mm", "observation 0 has no stable equilibrium",
-                             "give a rod that is held within its length" + ", outside the obstacles" * bool(self.surroundings))
+        require((start.converged & start.stable).all(), self.source, "vertices_mm", "observation 0 has no stable equilibrium",
+                "give a rod that is held within its length" + ", outside the obstacles" * bool(self.surroundings))
         return start, end_clamps(start.configuration, Clamp.FRAME, Clamp.FRAME)
 
 
@@ -142,12 +138,11 @@ def steered_rod(options: Namespace, written: Iterable[Path]) -> SteeredRod:
     """What :func:`add_steered` describes. Raises InputError for whatever is wrong with it, and for files to be ``written`` that
     are read."""
     surroundings = given.surroundings(options)
-    if surroundings.rub:
-        raise InputError(options.obstacles, "friction", "given, but steered rods know none", "leave it out")
+    require(not surroundings.rub, options.obstacles, "friction", "given, but steered rods know none", "leave it out")
     grid = given.round_cell(options, "steered")
     observations = loading.load(options, options.start).take(np.zeros(1, dtype=np.int64))
     for out in written:
-        refuse_overwriting(out, options.start, options.target)
+        results.refuse_overwriting(out, options.start, options.target)
     places = loading.target(options, observations)
     clamps = observation_clamps(observations, *given.clamps(options))
     for end, kind in (("start", clamps.start), ("end", clamps.end)):
@@ -246,7 +241,7 @@ def run_servo(options: Namespace) -> int:
     if not summary["reached"]:
         warn(f"{in_line(options.target)}: the target is not reached; the rod is {summary['distance_mm']:.3g} mm from it, "
              f"{summary['status']}")
-    report(options, summary, lambda: _lines(rod, steps, summary))
+    results.report(options, summary, lambda: _lines(rod, steps, summary))
     return 0
 
 
@@ -281,9 +276,8 @@ def _steps(rod: SteeredRod, true: Material, cameras: "VirtualCameras", rig: Rig,
         model, begin = rod.at_rest()
         simulation = Simulation(model.configuration, true, begin, up=up, **around)
         state = simulation.state
-        if not (state.converged & state.stable).all():
-            raise InputError(given.SOURCE, "--true-EI", "the true rod has no stable equilibrium at the start",
-                             "give another, or a rod that is held within its length")
+        require((state.converged & state.stable).all(), given.SOURCE, "--true-EI",
+                "the true rod has no stable equilibrium at the start", "give another, or a rod that is held within its length")
         vertices = state.configuration.vertices[0]
         rig.check_sight(vertices, "the rod at its start")
         if (seeing := sum(bool(camera.sees(vertices).all()) for camera in rig.cameras)) < 2:
@@ -328,5 +322,4 @@ def _lines(rod: SteeredRod, steps: list[Step], summary: dict) -> list[str]:
         f"{rod.observations.name}: target {'reached' if summary['reached'] else 'not reached'}, {summary['distance_mm']:.3g} mm"
         f" from it (root mean square), {summary['estimated_mm']:.3g} mm as estimated",
         f"  steps       {summary['steps']}; the rod {frames}; a camera covered in {summary['covered']}",
-        f"  status      {summary['status']}", *learned, loading.rod_line(rod.observations),
-        *(f"  written to  {in_line(path)}" for path in summary["written"])]
+        f"  status      {summary['status']}", *learned, loading.rod_line(rod.observations)]

@@ -9,9 +9,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from doo_ti.commands import doubts, loading
-from doo_ti.commands import options as given
-from doo_ti.commands.results import hypotheses_lines, note_theta, plain, rows, run_lines, theta_text
+from doo_ti.commands import doubts, given, loading, results
 from doo_ti.io.scene import MOST_ROLLS, OBJECTIVES, Scene, Synthesis, load_scene
 from doo_ti.io.toml_file import scene_file
 from doo_ti.learning.chunks import SUMMARY
@@ -21,7 +19,7 @@ from doo_ti.rod.material import relative_stiffness, stiffness
 from doo_ti.rod.observations import Observations
 from doo_ti.rod.start import check_experiment, observation_clamps
 from doo_ti.rod.types import Clamp
-from doo_ti.system.errors import InputError
+from doo_ti.system.errors import InputError, require
 from doo_ti.system.terminal import in_line
 
 if TYPE_CHECKING:
@@ -36,7 +34,7 @@ def declare(add) -> None:
     parser.add_argument("sources", nargs="+", metavar="SCENE.toml|OBS", type=scene_file,
                         help=f"scenes, or observations: {loading.FORMATS}; each "
                         "of several gets a folder of its name below RUN")
-    given.add(parser, "--out", "RUN", given.FOLDER, "folder to write; an unfinished run in it is resumed", required=True)
+    given.add(parser, "--out", "RUN", given.folder, "folder to write; an unfinished run in it is resumed", required=True)
     given.add_material(parser, "a number or LO:HI:N[:log|:lin]; overrides the scene's axis",
                        density="for --EI, --GJ and results in N m²")
     given.add_relaxation(parser, None)
@@ -64,7 +62,6 @@ class _Search:
     options: "SweepOptions"
     pairs: Pairs | None
     run: Path
-    density: float | None  # linear density in g/m
 
 
 def run_sweep(options: Namespace) -> int:
@@ -74,8 +71,7 @@ def run_sweep(options: Namespace) -> int:
         if len(set(names)) < len(names):
             twice = max(names, key=names.count)
             raise InputError(given.SOURCE, "SOURCE", f"two of the name {twice!r}", "name the scenes or files apart")
-        if os.path.exists(out / "cells"):
-            raise InputError(out, "--out", "holds the sweep of a single source", "name another folder")
+        require(not os.path.exists(out / "cells"), out, "--out", "holds the sweep of a single source", "name another folder")
         searches = [replace(search, run=out / name) for search, name in zip(searches, names, strict=True)]
     for search in searches:
         doubts.warn(search.observations, search.options.surroundings, **loading.stated(options))
@@ -86,22 +82,22 @@ def run_sweep(options: Namespace) -> int:
     for search in searches:
         before = _stamp(search.run)
         summary = sweep(search.run, search.observations, search.grid, options=search.options, pairs=search.pairs,
-                        command=options.words, linear_density=search.density)
+                        command=options.words, linear_density=options.linear_density)
         summaries.append(summary)
         finished_before = _stamp(search.run) == before
         if not finished_before:
             relaxed.append(summary)
         if not options.json:
-            print("\n".join(_lines(search, summary, finished_before)))
+            print("\n".join(_lines(search, summary, options.linear_density, finished_before)))
         doubts.say(search.observations.source, loading.up_text(summary.get("other_up")))
     if options.json:
-        print(json.dumps(plain(summaries if len(options.sources) > 1 else summaries[0])))
+        print(json.dumps(results.plain(summaries if len(options.sources) > 1 else summaries[0])))
     else:
         rods, loads, relaxes = (sum(summary["timing"][name] for summary in relaxed)
                                 for name in ("relaxed_rods", "loading_s", "relaxation_s"))
         work = f": {loads:.1f} s to load the kernels, {relaxes:.1f} s to relax ({rods / relaxes:,.0f} rods/s)" if rods else ""
         print(f"{rods:,} rods in {time.monotonic() - began:.1f} s{work}")
-    note_theta(options)
+    results.note_theta(options)
     return 0
 
 
@@ -111,8 +107,7 @@ def _stamp(run: Path) -> int | None:
 
 
 def _search(options: Namespace, source: str, run: Path) -> _Search:
-    if not os.path.exists(source):
-        raise InputError(source, "file", "no such file", "name a scene or observations")
+    require(os.path.exists(source), source, "file", "no such file", "name a scene or observations")
     if Path(source).suffix == ".toml":
         scene = load_scene(source)
     else:
@@ -125,8 +120,7 @@ def _search(options: Namespace, source: str, run: Path) -> _Search:
         seed = scene.observations.seed if seed is None else seed
         scene = replace(scene, observations=replace(scene.observations, seed=seed))
     observations = loading.of_scene(options, scene).along_arcs()
-    clamp_start, clamp_end = (own if chosen is None else chosen for own, chosen in zip(
-        (scene.clamp_start, scene.clamp_end), given.clamps(options), strict=True))
+    clamp_start, clamp_end = given.clamps(options, (scene.clamp_start, scene.clamp_end))
     objective = options.objective or scene.objective
     if objective == "static":
         observations = loading.with_ends_in_reach(observations, clamp_start, clamp_end)
@@ -144,22 +138,23 @@ def _search(options: Namespace, source: str, run: Path) -> _Search:
         precision=options.precision or scene.precision, objective=objective,
         spins=scene.roll_hypotheses if options.spins is None else options.spins, seed=seed or 0,
         surroundings=given.surroundings(options), workers=options.workers, scheduler=options.scheduler)
-    return _Search(scene, observations, grid, chosen, pairs, run, options.linear_density)
+    return _Search(scene, observations, grid, chosen, pairs, run)
 
 
-def _lines(search: _Search, summary: dict, finished_before: bool) -> list[str]:
-    (first, *rest), best, grid, spins = run_lines(summary), summary["best"], search.grid, search.options.spins
+def _lines(search: _Search, summary: dict, density: float | None, finished_before: bool) -> list[str]:
+    (first, *rest), best, grid, spins = results.run_lines(summary), summary["best"], search.grid, search.options.spins
     clamps = observation_clamps(search.observations, search.options.clamp_start, search.options.clamp_end)
     rolls = grid.is_isotropic and Clamp.FRAME > min(clamps.start, clamps.end) and not spins
     names = {"EI": "bend_1"} if grid.is_isotropic else {"EI_1": "bend_1", "EI_2": "bend_2"}
-    physical = search.density is not None and best["weight"] > 0 and ", ".join(
-        f"{symbol} {stiffness(relative_stiffness(best[name], best['weight']), search.density):.4g} N m²"
+    physical = density is not None and best["weight"] > 0 and ", ".join(
+        f"{symbol} {stiffness(relative_stiffness(best[name], best['weight']), density):.4g} N m²"
         for symbol, name in (names | ({} if rolls else {"GJ": "twist"})).items())
     varied = {axis.name for axis in grid.axes if len(axis) > 1}
     ratios = "weight" in varied and len(varied) > 1 and not any(axis.name == "twist" and len(axis) == 1 for axis in grid.axes)
     lines = [
-        first, loading.rod_line(search.observations), *rows(("WARNING", loading.up_text(summary.get("other_up")))), *rest,
-        *hypotheses_lines(summary, search.observations.labels), *rows(
+        first, loading.rod_line(search.observations),
+        *results.rows(("WARNING", loading.up_text(summary.get("other_up")))), *rest,
+        *results.hypotheses_lines(summary, search.observations.labels), *results.rows(
             ("stiffness", physical and f"{physical} in the best cell"),
             ("note", spins and f"rolls are tried in steps of {360 / spins:.3g}°: coarse steps narrow the range of the twist "
                                "ratio, fine ones leave it open"),
@@ -169,8 +164,8 @@ def _lines(search: _Search, summary: dict, finished_before: bool) -> list[str]:
     if isinstance(search.scene.observations, Synthesis):
         recipe, material = search.scene.observations, search.scene.observations.material()
         (first_bend, mixed), (_, second) = material.bend[0, 0]
-        true = theta_text({"bend_1": first_bend, "bend_2": second, "bend_12": mixed, "twist": material.twist[0, 0],
-                           "weight": material.weight[0]}, material.is_isotropic)
+        true = results.theta_text({"bend_1": first_bend, "bend_2": second, "bend_12": mixed, "twist": material.twist[0, 0],
+                                   "weight": material.weight[0]}, material.is_isotropic)
         lines.append(f"  true Θ      {true} (the virtual lab's, seed {recipe.seed})")
     lines.append(f"  {'finished before in' if finished_before else 'written to'} {in_line(search.run)}")
     if search.options.objective == "static" and not search.options.spins and not search.options.surroundings:

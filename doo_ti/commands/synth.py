@@ -6,16 +6,14 @@ from pathlib import Path
 
 import numpy as np
 
-from doo_ti.commands import doubts, loading
-from doo_ti.commands import options as given
-from doo_ti.commands.results import refuse_overwriting, save_arrays
+from doo_ti.commands import doubts, given, loading, results
 from doo_ti.io.observation_files import read_recording, save_observations
 from doo_ti.io.scene import Scene, Synthesis, load_scene
 from doo_ti.io.toml_file import scene_file
 from doo_ti.rod.observations import Observations
 from doo_ti.rod.start import on_equal_edges
 from doo_ti.system.arguments import counted
-from doo_ti.system.errors import InputError
+from doo_ti.system.errors import InputError, require
 from doo_ti.system.terminal import in_line, progress
 from doo_ti.vision.rig_files import load_rig
 
@@ -25,7 +23,7 @@ DIAMETER_MM = 0.5
 def declare(add) -> None:
     parser = given.command(add, "convert", run_convert, "convert observations from one file format to another", json=False)
     parser.add_argument("observations", metavar="IN", help=loading.FORMATS)
-    given.add(parser, "out", "OUT", given.OBSERVATIONS, ".npz, .csv or .parquet")
+    given.add(parser, "out", "OUT", given.output_file, ".npz, .csv or .parquet")
     loading.add_loading(parser)
     given.add(parser, "--select", "FROM:TO[:STEP]|N,N,…", str, "only these observations, numbered from 0 (default: all; with "
               "--complete those of one mark or none are not counted)")
@@ -41,9 +39,9 @@ def declare(add) -> None:
                            json=False)
     parser.set_defaults(up=None, unit=None, columns=None, rest_length=None)  # as the scene says
     parser.add_argument("scene", metavar="SCENE.toml", type=scene_file, help="a scene with [synthesis]")
-    given.add(parser, "--out", "OBS", given.OBSERVATIONS, "file for the observations: .npz, .csv or .parquet")
+    given.add(parser, "--out", "OBS", given.output_file, "file for the observations: .npz, .csv or .parquet")
     images = parser.add_argument_group("images", "rendered images of the rods; label noise has no effect on them")
-    given.add(images, "--images", "FOLDER", given.FOLDER, "folder for the images, sets.csv, rig.yaml and truth.npz")
+    given.add(images, "--images", "FOLDER", given.folder, "folder for the images, sets.csv, rig.yaml and truth.npz")
     given.add(images, "--rig", "RIG", scene_file, "the cameras: OpenCV FileStorage YAML, such as scenes/rig.yaml")
     given.add(images, "--diameter", "MM", given.LENGTH, f"diameter of the thread (default {DIAMETER_MM:g})")
     given.add(images, "--seed", "N", given.FROM_ZERO, "seed of all random numbers for the images (default 0)")
@@ -54,7 +52,7 @@ def declare(add) -> None:
 def run_convert(options: Namespace) -> int:
     """Observations from one format to another; keys that observations do not have are dropped."""
     out, edges = options.out, options.edges
-    refuse_overwriting(out, options.observations, option="OUT")
+    results.refuse_overwriting(out, options.observations, option="OUT")
     if options.motion:
         given.refuse(options, ("edges", "complete", "rest_length"), "given with --motion", "leave one out")
         return _convert_motion(options, out)
@@ -65,8 +63,7 @@ def run_convert(options: Namespace) -> int:
         observations = observations.of_marks(kept)
     rows = _rows(options.select, observations.count)
     rows = rows[observations.valid[rows].all(axis=1)] if options.complete else rows
-    if not len(rows):
-        raise InputError(options.observations, "observations", "none is left", "select others, or leave --complete out")
+    require(len(rows), options.observations, "observations", "none is left", "select others, or leave --complete out")
     doubts.warn(observations)
     print(" ".join(loading.rod_line(observations).split()))
     observations = observations.take(rows)
@@ -82,18 +79,16 @@ def _save(out: Path, observations: Observations) -> None:
 
 def _convert_motion(options: Namespace, out: Path) -> int:
     """Curves at the frames of a recording, or of several, to positions_mm (T, V, 3) or (R, T, V, 3) and rate_hz."""
-    if out.suffix != ".npz":
-        raise InputError(given.SOURCE, "OUT", f"suffix {out.suffix!r}", "name a .npz file: a motion has a third axis")
+    require(out.suffix == ".npz", given.SOURCE, "OUT", f"suffix {out.suffix!r}", "name a .npz file: a motion has a third axis")
     source = Path(options.observations)
     found = read_recording(source, options.unit, options.columns, options.rate)
     up = given.world_up(options, found.up)
     frames = _selected(options.select, found.positions.shape[-3])
     positions = found.positions[..., frames, _selected(options.marks, found.positions.shape[-2], "--marks"), :]
-    if not positions.size:
-        raise InputError(source, "positions_mm", "none is left", "select others")
+    require(positions.size, source, "positions_mm", "none is left", "select others")
     rate = found.rate / (frames.step or 1)
     names = {} if found.names is None else {"recording": np.array(found.names)}
-    save_arrays(out, {"positions_mm": positions, "rate_hz": np.float64(rate), "up": up} | names)
+    results.save_arrays(out, {"positions_mm": positions, "rate_hz": np.float64(rate), "up": up} | names)
     gaps = int((~np.isfinite(positions)).any(axis=-1).sum())
     several = f"{counted(len(positions), 'recording')} of " if positions.ndim == 4 else ""
     print(f"{several}{positions.shape[-3]} frames of {positions.shape[-2]} markers at {rate:g}/s, {gaps} positions missing, "
@@ -144,13 +139,11 @@ def _photograph(options: Namespace, scene: Scene) -> None:
     from doo_ti.vision.render import RIG_FILE
 
     folder, look, seed = options.images, _look(options.render or []), options.seed or 0
-    if options.rig is None:
-        raise InputError(given.SOURCE, "--rig", "missing", "name the cameras' file, such as scenes/rig.yaml")
-    refuse_overwriting(folder / RIG_FILE, options.rig, option="--images")
+    require(options.rig is not None, given.SOURCE, "--rig", "missing", "name the cameras' file, such as scenes/rig.yaml")
+    results.refuse_overwriting(folder / RIG_FILE, options.rig, option="--images")
     rig, diameter = load_rig(options.rig), options.diameter or DIAMETER_MM
-    if not isinstance(scene.observations, Synthesis):
-        raise InputError(scene.source, "observations", "a file, which does not say how the rods lie between their marks",
-                         "give a scene with [synthesis]")
+    require(isinstance(scene.observations, Synthesis), scene.source, "observations",
+            "a file, which does not say how the rods lie between their marks", "give a scene with [synthesis]")
     from doo_ti.perception.virtual_lab import lab_rods, save_truth
     from doo_ti.vision.render import Photographs, check_diameter, save_photographs
 

@@ -9,15 +9,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from doo_ti.commands import doubts, image_options
-from doo_ti.commands import options as given
+from doo_ti.commands import doubts, given, image_options, results
+from doo_ti.commands.image_options import SeenRods
 from doo_ti.commands.perceive import LEAST_SIGMA_MM, sigma_with_length
-from doo_ti.commands.results import listed, refuse_overwriting, report, rows, save_arrays
 from doo_ti.io.arrays import read_csv
 from doo_ti.io.motion_file import load_path
 from doo_ti.rod.types import Clamp, Clamps
 from doo_ti.system.arguments import counted
-from doo_ti.system.errors import InputError, InterruptedRunError
+from doo_ti.system.errors import InputError, InterruptedRunError, require
 from doo_ti.system.terminal import can_record, in_line, progress, warn
 from doo_ti.vision.images import SEED, SEEDS, ImageSets, cameras_in, clicks_in, images_in, seed_columns
 from doo_ti.vision.synchronisation import epipolar_extremes, frames_apart
@@ -28,15 +27,6 @@ if TYPE_CHECKING:
 MOST_LISTED = 30
 VIDEOS = (".avi", ".mkv", ".mov", ".mp4", ".mpg", ".webm")
 LEAST_SHOWN = 0.01  # px: smaller errors are less than the noise of the smoothed images
-
-
-@dataclass(frozen=True)
-class TrackingTask(image_options.SeenRods):
-    """The inputs of tracking: T frames with a seed for each, or with clicks in some, and the T − 1 motions of the far clamp
-    between them, if known."""
-
-    time: np.ndarray | None
-    far: list | None  # of Motion
 
 
 def declare(add) -> None:
@@ -55,13 +45,15 @@ def declare(add) -> None:
 
 def run(options: Namespace) -> int:
     out = options.out
-    refuse_overwriting(out, options.frames, options.motion, options.rest_length)
-    task = tracking_task(options)
-    rest_length, length_range, found, problem = _tracked(options, task)
+    results.refuse_overwriting(out, options.frames, options.motion, options.rest_length)
+    task, time = image_options.seen_rods(options, "tracked", lambda rig: load_frames(
+        Path(options.frames), rig, lambda rig: image_options.clicked(options, rig)))
+    motions = None if options.motion is None else _far_motions(Path(options.motion), task.sets.count)
+    rest_length, length_range, found, problem = _tracked(options, task, motions)
     doubts.warn_of_axes(options, task.sets.rig)
     image_options.warn_of_length(options, rest_length.sum())
-    result = _arrays(task, rest_length, length_range, found)
-    save_arrays(out, result)
+    result = _arrays(task, time, rest_length, length_range, found)
+    results.save_arrays(out, result)
     if problem is not None:
         raise InterruptedRunError(f"{problem}; {len(found)} of {task.sets.count} frames are kept in {out}; the same command "
                                   "starts from the first frame; or track the other frames as a video of their own, with the "
@@ -74,24 +66,14 @@ def run(options: Namespace) -> int:
         record_track(written[-1], run_id=f"track {out.name}", name=out.stem, rig=task.sets.rig, paths=task.sets.paths,
                      vertices=result["vertices_mm"], error=result["camera_error_px"], how=result["how"], up=task.up)
     summary = _summary(task, found, result, written)
-    report(options, summary, lambda: _lines(summary))
+    results.report(options, summary, lambda: _lines(summary))
     return 0 if np.isfinite(result["energy_vis"]).any() else 1
-
-
-def tracking_task(options: Namespace) -> TrackingTask:
-    """Raises InputError naming the option or file at fault."""
-    seen, time = image_options.seen_rods(options, "tracked", lambda rig: load_frames(
-        Path(options.frames), rig, lambda rig: image_options.clicked(options, rig)))
-    far = None if options.motion is None else _far_motions(Path(options.motion), seen.sets.count)
-    return TrackingTask(**vars(seen), time=time, far=far)
 
 
 def load_frames(path: Path, rig, clicks_of=lambda rig: {}):
     """(ImageSets of the frames in their order, (T,) s or None). Frames without a seed keep the one before; ``clicks_of`` a rig
-    are pixels in the first frame by the numbers of its cameras.
-
-    Raises InputError naming line and column for whatever is missing or not a number, and for missing images.
-    """
+    are pixels in the first frame by the numbers of its cameras. Raises InputError naming line and column for whatever is
+    missing or not a number, and for missing images."""
     if path.suffix.lower() in VIDEOS:
         raise InputError(path, "file", "a video", "save its frames as images, and give a table that names them")
     form = f"frame, one per camera, and {SEEDS}"
@@ -107,8 +89,7 @@ def load_frames(path: Path, rig, clicks_of=lambda rig: {}):
         table.refuse(name, np.array([not os.path.isfile(images[camera]) for images in paths]), "is not a file",
                      "name an image, relative to this file")
     time = table.numbers("time_s") if "time_s" in table.columns else None
-    if time is not None and not (np.diff(time) > 0).all():
-        raise InputError(path, "time_s", "does not rise", "give frames in their order")
+    require(time is None or (np.diff(time) > 0).all(), path, "time_s", "does not rise", "give frames in their order")
     names, rig = tuple(table.columns["frame"]), rig.only(cameras) if cameras else rig
     if seed == SEED:
         seeded = np.array([row == 0 or any(table.columns[key][row] for key in SEED) for row in range(table.count)])
@@ -142,9 +123,9 @@ class _Start:
     direction: np.ndarray
 
 
-def _tracked(options: Namespace, task: TrackingTask) -> tuple[np.ndarray, np.ndarray, list, str | None]:
+def _tracked(options: Namespace, task: SeenRods, motions: list | None) -> tuple[np.ndarray, np.ndarray, list, str | None]:
     """(E,) mm, (2,) mm between which their sum is, NaN where it is given, the tracked frames, and the error that ended
-    tracking, or None. An error before the first frame is raised."""
+    tracking, or None. An error before the first frame is raised. ``motions`` are those of :func:`_far_motions`, if known."""
     from doo_ti.perception.perceive import PerceptionVerdict
     from doo_ti.perception.tracking import Tracker
 
@@ -164,7 +145,7 @@ def _tracked(options: Namespace, task: TrackingTask) -> tuple[np.ndarray, np.nda
                         length_range = np.clip(thread.range[0], task.length_bounds.least, task.length_bounds.most)
                     tracker = Tracker(frames.rig, rest_length, task.material, up=task.up, surroundings=task.surroundings,
                                       length_range=length_range)
-                far = None if task.far is None or row == 0 else task.far[row - 1]
+                far = None if motions is None or row == 0 else motions[row - 1]
                 sigma.append(0.0 if frames.point is not None else
                              float(np.hypot(start.sigma, _off_thread(frames.rig, detected, start.point))))
                 frame = tracker.see(detected, start.point, start.direction, far, sigma[-1])
@@ -219,7 +200,7 @@ def _off_thread(rig, detected: list, point: np.ndarray) -> float:
     return second if np.isfinite(second) else 0.0
 
 
-def _begun(task: TrackingTask, row: int, detected: list, before: _Start | None, known: np.ndarray | None
+def _begun(task: SeenRods, row: int, detected: list, before: _Start | None, known: np.ndarray | None
            ) -> tuple[_Start, "WholeThreads | None"]:
     """The start of a frame, and the thread from there on; None where that need not be known. Where nothing was
     detected at a click it is that of the frame ``before``; else it is near the last one ``known`` to be right. Raises
@@ -249,11 +230,12 @@ def _begun(task: TrackingTask, row: int, detected: list, before: _Start | None, 
     return _Start(point, sigma, thread.direction[0]), thread
 
 
-def _arrays(task: TrackingTask, rest_length: np.ndarray, length_range: np.ndarray, found: list) -> dict[str, np.ndarray]:
-    """The arrays of the file; docs/commands/track.md."""
+def _arrays(task: SeenRods, time: np.ndarray | None, rest_length: np.ndarray, length_range: np.ndarray, found: list
+            ) -> dict[str, np.ndarray]:
+    """The arrays of the file; docs/commands/track.md. ``time`` (T,) s of the frames, if known."""
     fields = {"vertices_mm": "vertices", "energy_vis": "energy_vis", "camera_error_px": "camera_error", "status": "status",
             "stable": "stable", "how": "how", "verdict": "verdict"}
-    time = {} if task.time is None else {"time_s": task.time[: len(found)]}
+    time = {} if time is None else {"time_s": time[: len(found)]}
     sigma = sigma_with_length(np.array([frame.sigma for frame in found]), length_range[None], task.sets.point is None)
     return {
         "name": np.array(task.sets.names[: len(found)]), **time, "rest_length_mm": rest_length,
@@ -263,7 +245,7 @@ def _arrays(task: TrackingTask, rest_length: np.ndarray, length_range: np.ndarra
     }
 
 
-def _summary(task: TrackingTask, found: list, result: dict, written: list[Path]) -> dict:
+def _summary(task: SeenRods, found: list, result: dict, written: list[Path]) -> dict:
     from doo_ti.perception.perceive import CERTAIN_MM, PerceptionVerdict
     from doo_ti.perception.tracking import How
 
@@ -290,7 +272,7 @@ def _lines(summary: dict) -> list[str]:
 
     def frames(names: np.ndarray, words: str, every: bool = False) -> str:
         """How many frames, and their ``names``, or "all" where they are ``every`` frame of the video."""
-        named = f": {'all' if every else listed(names, MOST_LISTED)}" * bool(len(names))
+        named = f": {'all' if every else results.listed(names, MOST_LISTED)}" * bool(len(names))
         return f"{counted(len(names), 'frame')} {words}{named}"
 
     verdicts, reasons, uncertain, off = (summary[name] for name in ("verdicts", "doubts", "uncertain", "camera_error_px"))
@@ -299,7 +281,7 @@ def _lines(summary: dict) -> list[str]:
         f"{summary['frames']} frames of {len(summary['cameras'])} images, a rod of {summary['edges']} edges, "
         f"{summary['length_mm']:.4g} mm long" + ", found in the first frame, {:.4g} to {:.4g} mm".format(
             *summary["length_range_mm"]) * bool(np.isfinite(summary["length_range_mm"]).all()),
-        *rows(
+        *results.rows(
             ("tracked", f"{len(summary['tracked'])} frames, each from the one before or after"),
             ("seeded", frames(summary["seeded"], "by Algorithm 1")),
             ("lost", frames(summary["lost"], "in which the rod is lost")),
@@ -310,4 +292,4 @@ def _lines(summary: dict) -> list[str]:
             ("doubts", reasons and f"{len(verdicts['clear'])} frames are clear; of others: {of_others}"),
             ("images", off is not None and f"{f'{off:.2f}' if off >= LEAST_SHOWN else f'less than {LEAST_SHOWN}'} px off on "
                                            f"average; {summary['stable']} rods at certified minima of E_vis"),
-            ("orientation", summary["orientation"]), *(("written to", in_line(path)) for path in summary["written"]))]
+            ("orientation", summary["orientation"]))]

@@ -6,10 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
-from doo_ti.commands import doubts, loading, results
-from doo_ti.commands import options as given
+from doo_ti.commands import doubts, given, loading, results
 from doo_ti.commands.moving_rods import with_rest_curvature
-from doo_ti.commands.results import refuse_overwriting
 from doo_ti.io.observation_tables import write_columns
 from doo_ti.io.scene import PRECISIONS
 from doo_ti.report.figures import MOST_CURVES, angle_curves_picture
@@ -46,7 +44,7 @@ def run_twist(options: Namespace) -> int:
     grid = given.single_cell(options)
     out = options.out
     observations = loading.load(options, options.observations)
-    refuse_overwriting(out, options.observations)
+    results.refuse_overwriting(out, options.observations)
 
     from doo_ti.perception.twist import TwistOptions, estimate_twist
     from doo_ti.perception.twist_curves import consecutive_groups, end_offsets, load_offsets
@@ -87,7 +85,11 @@ def run_twist(options: Namespace) -> int:
         shared = {name: result[name][result["group"]] for name in ("phi_deg", "least_mm", "verdict", "low_deg", "high_deg")}
         write_whole(out, lambda file: write_columns(file, {"observation": observations.labels, **own, **shared}))
     if options.picture is not None:
-        _draw(options.picture, observations, estimate)
+        names = [f"{_rows(observations, estimate, k)}: {np.degrees(estimate.phi[k]):.0f}°, {_word(estimate.verdict[k])}"
+                 for k in range(min(MOST_CURVES, len(estimate.phi)))]
+        angle_curves_picture(
+            options.picture, result["phi_grid_deg"], estimate.objective, phi=result["phi_deg"], low=result["low_deg"],
+            high=result["high_deg"], names=names, unsound=estimate.unsound, title=f"{observations.name}: Eq. 4")
     summary = _summary(observations, grid, estimate, result, out)
     results.report(options, summary, lambda: _lines(observations, grid, estimate, summary))
     return 0 if np.isfinite(estimate.phi).any() else 1
@@ -108,14 +110,6 @@ def _rows(observations: Observations, estimate, group: int) -> str:
     """``observations 6 to 11``."""
     rows = observations.labels[estimate.group == group]
     return f"observation {rows[0]}" if len(rows) == 1 else f"observations {rows[0]} to {rows[-1]}"
-
-
-def _draw(path: Path, observations: Observations, estimate) -> None:
-    names = [f"{_rows(observations, estimate, k)}: {np.degrees(estimate.phi[k]):.0f}°, {_word(estimate.verdict[k])}"
-             for k in range(min(MOST_CURVES, len(estimate.phi)))]
-    angle_curves_picture(
-        path, np.degrees(estimate.angles), estimate.objective, phi=np.degrees(estimate.phi), low=np.degrees(estimate.low),
-        high=np.degrees(estimate.high), names=names, unsound=estimate.unsound, title=f"{observations.name}: Eq. 4")
 
 
 def _word(verdict: int) -> str:
@@ -143,8 +137,7 @@ def _lines(observations: Observations, grid: Grid, estimate, summary: dict) -> l
         f"  verdicts    {results.status_text(summary['verdicts'])}; {summary['unsound_rods']} of {rods} rods on the curves "
         "have no certified minimum",
         *results.shortened([_group_line(observations, estimate, k) for k in range(len(estimate.phi))], MOST_LISTED,
-                           f"  and {{}} more, which {in_line(Path(summary['out']).name)} holds"),
-        f"  written to {in_line(summary['out'])}"]
+                           f"  and {{}} more, which {in_line(Path(summary['out']).name)} holds")]
 
 
 def _group_line(observations: Observations, estimate, k: int) -> str:

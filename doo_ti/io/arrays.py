@@ -1,10 +1,6 @@
 """Files of named arrays: npz, one array per key, or CSV, one row per entry of the first axis; and the one reader for every CSV
 table that users write, with one form of error message.
 
-The caller of :func:`read_arrays` states which keys are known, the shape of an entry, and the columns that hold it in CSV:
-
-    {"end_position_mm": ((3,), ("end_x_mm", "end_y_mm", "end_z_mm"))}
-
 A message about a table names file, column, the cell's text, its line (the header is line 1) and the remedy:
 
     sets.csv: seed_y: 'x' in line 2 is not a finite number; give decimal numbers
@@ -32,7 +28,7 @@ from tokenize import TokenError
 import numpy as np
 
 from doo_ti.rod.material import LARGEST, UNITS_IN_MM
-from doo_ti.system.errors import InputError, real_array
+from doo_ti.system.errors import InputError, real_array, require
 from doo_ti.system.files import MOST_TEXT_BYTES, read_content
 
 AXES = ("x", "y", "z")
@@ -53,13 +49,10 @@ def frame_columns(name: str) -> tuple[str, ...]:
 
 
 def read_npz(path: Path, content: bytes, known: tuple[str, ...]) -> dict[str, np.ndarray]:
-    """The arrays of the ``known`` keys from the bytes of an npz file, never unpickled; ``path`` names it in messages.
-
-    Raises InputError for whatever is not an npz of plain arrays, and for a misspelt key.
-    """
+    """The arrays of the ``known`` keys from the bytes of an npz file, never unpickled; ``path`` names it in messages. Raises
+    InputError for whatever is not an npz of plain arrays, and for a misspelt key."""
     remedy = "write it with numpy.savez from plain numeric arrays"
-    if content[:6] == b"\x93NUMPY":
-        raise InputError(path, "file", "holds one bare array, not named ones", remedy)
+    require(content[:6] != b"\x93NUMPY", path, "file", "holds one bare array, not named ones", remedy)
     try:
         archive = zipfile.ZipFile(io.BytesIO(content))
     except _UNREADABLE as error:
@@ -104,12 +97,13 @@ def _member(archive: zipfile.ZipFile, entry: zipfile.ZipInfo) -> np.ndarray:
 def check_unpacked(path: Path, content: bytes, size: int) -> None:
     """Raise InputError where the bytes of a file unpack to a size that is too large, or that no data of its size unpack to."""
     most = min(MOST_UNPACKED_BYTES, MOST_UNPACKED_RATIO * len(content))
-    if size > most:
-        raise InputError(path, "file", f"unpacks to {size:,} bytes", f"give arrays of at most {most:,}")
+    require(size <= most, path, "file", f"unpacks to {size:,} bytes", f"give arrays of at most {most:,}")
 
 
 def read_arrays(path: Path, known: dict[str, tuple[tuple[int, ...], tuple[str, ...]]]) -> dict[str, np.ndarray]:
     """The arrays of a file, those of a CSV file (N, \\*shape), as float64.
+
+    known  of each key the shape of an entry, and the columns that hold it in CSV: {"place_mm": ((3,), ("x_mm", …))}
 
     Raises InputError for files that cannot be read, unknown columns, entries that are not finite numbers, and where none of
     the known keys is there.
@@ -125,11 +119,9 @@ def read_arrays(path: Path, known: dict[str, tuple[tuple[int, ...], tuple[str, .
 
 def read_numbers(path: Path, known: tuple[str, ...]) -> dict[str, np.ndarray]:
     """The arrays of an npz file as float64. Raises InputError as :func:`read_arrays` does."""
-    if path.suffix != ".npz":
-        raise InputError(path, "file", f"suffix {path.suffix!r}", "name a .npz or .csv file")
+    require(path.suffix == ".npz", path, "file", f"suffix {path.suffix!r}", "name a .npz or .csv file")
     arrays = read_npz(path, read_content(path), known)
-    if not arrays:
-        raise InputError(path, "file", "has none of the known keys", f"give some of {', '.join(known)}")
+    require(arrays, path, "file", "has none of the known keys", f"give some of {', '.join(known)}")
     return checked_arrays(path, arrays)
 
 
@@ -137,8 +129,7 @@ def checked_arrays(path: Path, arrays: dict[str, np.ndarray]) -> dict[str, np.nd
     """``arrays``, changed to float64. Raises InputError for those that are not finite numbers."""
     for key, value in arrays.items():
         arrays[key] = value = real_array(path, key, value, "store real numbers").astype(np.float64)
-        if not (np.abs(value) <= LARGEST).all():
-            raise InputError(path, key, "not finite", "give finite numbers")
+        require((np.abs(value) <= LARGEST).all(), path, key, "not finite", "give finite numbers")
     return arrays
 
 
@@ -252,15 +243,11 @@ def read_csv(path: Path, needed: tuple[str, ...], optional: tuple[str, ...] | No
     rows = [(line, row) for line, row in lines if any(row) and any(map(str.strip, row))]
     names = [name.strip() for name in rows[0][1]] if rows else []
     for name in needed:
-        if name not in names:
-            raise InputError(path, name, "the column is missing", remedy)
+        require(name in names, path, name, "the column is missing", remedy)
     for name, count in Counter(names).items():
-        if count > 1:
-            raise InputError(path, name or "header", f"the column {name!r} is there twice", "keep one of them")
-        if optional is not None and name not in (*needed, *optional):
-            raise InputError(path, name or "header", f"unknown column {name!r}", remedy)
-    if len(rows) < 2:
-        raise InputError(path, "file", "holds no rows", "write one line or more below the names of the columns")
+        require(count <= 1, path, name or "header", f"the column {name!r} is there twice", "keep one of them")
+        require(optional is None or name in (*needed, *optional), path, name or "header", f"unknown column {name!r}", remedy)
+    require(len(rows) >= 2, path, "file", "holds no rows", "write one line or more below the names of the columns")
     for line, row in rows[1:]:
         if len(row) > len(names) or len(row) < len(names) and not short_lines:
             raise InputError(path, f"line {line}", f"{len(row)} cells under {len(names)} columns", "give one for each column")
@@ -295,8 +282,7 @@ def csv_rows(path: Path, content: bytes, remedy: str) -> tuple[list[tuple[int, l
     except (UnicodeDecodeError, csv.Error) as error:
         raise InputError(path, "file", f"is not a CSV table ({str(error)[:80]})", remedy) from None
     for (before, _), (line, _) in pairwise([(0, []), *ends]):
-        if line > before + 1:
-            raise InputError(path, f"line {line}", "a line break within a cell", "close the quote")
+        require(line <= before + 1, path, f"line {line}", "a line break within a cell", "close the quote")
     if ends and "".join(ends[0][1]).strip() == "sep=":  # by which spreadsheets are told the separator
         ends = ends[1:]
     comments = next((k for k, (_, row) in enumerate(ends) if not "".join(row).lstrip().startswith("#")), 0)

@@ -24,7 +24,7 @@ import numpy as np
 from doo_ti.io.arrays import csv_rows, decoded, listed, number_in
 from doo_ti.rod.material import UNITS_IN_MM
 from doo_ti.rod.types import LARGEST
-from doo_ti.system.errors import InputError
+from doo_ti.system.errors import InputError, require
 
 
 @dataclass(frozen=True)
@@ -60,8 +60,7 @@ def chosen_names(path, field: str, found: list[str], wanted: list[str] | None) -
     if wanted is None:
         return found
     missing = next((name for name in wanted if name not in found), None)
-    if missing is not None:
-        raise InputError(path, field, f"{missing!r} is not in the file", f"give some of {listed(found)}")
+    require(missing is None, path, field, f"{missing!r} is not in the file", f"give some of {listed(found)}")
     return wanted
 
 
@@ -74,8 +73,7 @@ def stacked(path, curves: Sequence[np.ndarray]) -> np.ndarray:
     if sizes[0] < 3:
         raise InputError(path, "points", f"{sizes[0]} points in a curve", "give three or more")
     points = np.stack(curves)
-    if not (np.abs(points) <= LARGEST).all():
-        raise InputError(path, "points", "not finite", "give finite numbers")
+    require((np.abs(points) <= LARGEST).all(), path, "points", "not finite", "give finite numbers")
     return points
 
 
@@ -92,8 +90,7 @@ def is_polyline(content: bytes) -> bool:
 
 def read_polylines(path: Path, content: bytes, names: list[str] | None = None) -> Curves:
     """The curves of a file of numbers, in mm. Raises InputError for anything else, and for curves of different sizes."""
-    if names is not None:
-        raise InputError(path, "columns", "the file has no names", "leave `columns` out")
+    require(names is None, path, "columns", "the file has no names", "leave `columns` out")
     lines, breaks = [], [0]
     try:
         whole = decoded(content)
@@ -108,8 +105,7 @@ def read_polylines(path: Path, content: bytes, names: list[str] | None = None) -
         if values is None or lines and len(values) != len(lines[0]) or len(values) % 3:
             raise InputError(path, f"line {number}", f"{text[:40]!r}", FORM)
         lines.append(values)
-    if not lines:
-        raise InputError(path, "file", "holds no numbers", FORM)
+    require(lines, path, "file", "holds no numbers", FORM)
     if len(lines[0]) > 3:
         return Curves(stacked(path, np.array(lines).reshape(len(lines), -1, 3)))
     ends = [end for end in breaks if 0 < end < len(lines)]
@@ -151,11 +147,9 @@ def read_motive(path: Path, content: bytes, names: list[str] | None = None) -> C
     unit = _unit(path, "Length Units", MOTIVE_UNITS, about.get("Length Units", "Meters").strip().lower())
     rate = _rate(path, decimal, 1, about.get("Export Frame Rate") or about.get("Capture Frame Rate") or "")
     header = next((row for row, (_, cells) in enumerate(rows) if cells and cells[0].strip() == "Frame"), None)
-    if header is None:
-        raise InputError(path, "Frame", "no row begins with it", REMEDY)
+    require(header is not None, path, "Frame", "no row begins with it", REMEDY)
     above = {cells[1].strip(): cells for _, cells in rows[1:header] if len(cells) > 1}
-    if "Name" not in above:
-        raise InputError(path, "Name", "no row names the markers", REMEDY)
+    require("Name" in above, path, "Name", "no row names the markers", REMEDY)
     kinds = rows[header - 1][1]
     columns: dict[str, list[int]] = {}
     for column in range(2, len(rows[header][1])):
@@ -173,8 +167,7 @@ def read_nexus(path: Path, content: bytes, names: list[str] | None = None) -> Cu
     leave out the subject."""
     rows, decimal = csv_rows(path, content, REMEDY)
     begin = next((row for row, (_, cells) in enumerate(rows) if cells and cells[0].strip() == "Trajectories"), len(rows))
-    if len(rows) < begin + 6:
-        raise InputError(path, "Trajectories", "no rows below it", REMEDY)
+    require(len(rows) >= begin + 6, path, "Trajectories", "no rows below it", REMEDY)
     rate = _rate(path, decimal, rows[begin + 1][0], _cell(rows[begin + 1][1], 0))
     labels, units = rows[begin + 2][1], rows[begin + 4][1]
     columns: dict[str, list[int]] = {}
@@ -194,8 +187,7 @@ def _points(path: Path, decimal: str, rows: list, columns: dict[str, list[int]],
     """(T, V, 3) the positions of the markers in ``columns``, all or those of the ``names``, NaN where a marker was not seen;
     and (T,) the numbers of the frames, None where they are not whole numbers that rise."""
     order = chosen_names(path, "Name", list(columns), names)
-    if len(order) < 3:
-        raise InputError(path, "Name", f"{len(order)} markers", "name three or more along the rod, in their order")
+    require(len(order) >= 3, path, "Name", f"{len(order)} markers", "name three or more along the rod, in their order")
     short = next((name for name in order if len(columns[name]) != 3), None)
     if short is not None:
         raise InputError(path, short, f"{len(columns[short])} columns of a position", "give markers of different names")
@@ -204,8 +196,7 @@ def _points(path: Path, decimal: str, rows: list, columns: dict[str, list[int]],
     points = np.array([[_number(path, decimal, line, _cell(cells, column)) for column in chosen] for line, cells in frames])
     texts = [_cell(cells, 0) for _, cells in frames]
     labels = np.array(texts, dtype=np.int64) if all(text.isdecimal() and len(text) < 16 for text in texts) else None
-    if not len(points):
-        raise InputError(path, "Frame", "no frames", REMEDY)
+    require(len(points), path, "Frame", "no frames", REMEDY)
     return points.reshape(len(points), -1, 3), labels if labels is not None and (np.diff(labels) > 0).all() else None
 
 
@@ -229,6 +220,5 @@ def _rate(path: Path, decimal: str, line: int, cell: str) -> float | None:
 def _number(path: Path, decimal: str, line: int, cell: str) -> float:
     """The number in a cell, NaN where it is empty."""
     value = number_in(cell or "nan", decimal)
-    if np.isinf(value):
-        raise InputError(path, f"line {line}", f"{cell!r} is not a finite number", REMEDY)
+    require(not np.isinf(value), path, f"line {line}", f"{cell!r} is not a finite number", REMEDY)
     return value

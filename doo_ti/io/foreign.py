@@ -22,7 +22,7 @@ import numpy as np
 from doo_ti.io.arrays import first_line
 from doo_ti.io.curves import Curves, chosen_names, stacked
 from doo_ti.rod.frames import matrix_from_quaternion
-from doo_ti.system.errors import InputError
+from doo_ti.system.errors import InputError, require
 
 OTHER_ROTATIONS = ("euler", "axisangle", "xyaxes", "zaxis")
 REMEDY = "give a model with a cable, as MuJoCo's documentation describes it"
@@ -39,8 +39,7 @@ def read_mujoco(path: Path, content: bytes, names: list[str] | None = None) -> C
     found: dict[str, np.ndarray] = {}
     for world in root.iter("worldbody"):
         _gather(path, world, found)
-    if not found:
-        raise InputError(path, "worldbody", "has no cable", REMEDY)
+    require(found, path, "worldbody", "has no cable", REMEDY)
     chosen = [found[name] for name in chosen_names(path, "prefix", list(found), names)]
     return Curves(stacked(path, chosen), 1000.0)
 
@@ -67,8 +66,7 @@ def _gather(path: Path, world, found: dict) -> None:
             elements += [(inner, here, turned) for inner in reversed(child)]
             continue
         name = child.get("prefix") or child.get("name") or f"cable {len(found)}"
-        if name in found:
-            raise InputError(path, name, "the cable is there twice", "give each a prefix or a name of its own")
+        require(name not in found, path, name, "the cable is there twice", "give each a prefix or a name of its own")
         points = _of_composite(path, child, found) if child.tag == "composite" else _of_flex(path, child, found)
         found[name] = here + points @ turned.T
 
@@ -76,12 +74,10 @@ def _gather(path: Path, world, found: dict) -> None:
 def _pose(path: Path, child, position: np.ndarray, rotation: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Position (3,) and rotation (3, 3) in the world of an element in a body with that pose."""
     own = next((name for name in OTHER_ROTATIONS if child.get(name)), None)
-    if own is not None:
-        raise InputError(path, own, f"of a {child.tag}", "give its rotation as quat")
+    require(own is None, path, own, f"of a {child.tag}", "give its rotation as quat")
     here = position + rotation @ _vector(path, child, "offset" if child.tag == "composite" else "pos", "0 0 0", 3)
     quaternion = _vector(path, child, "quat", "1 0 0 0", 4)
-    if not np.linalg.norm(quaternion) > 0:
-        raise InputError(path, "quat", "of no length", "give a rotation")
+    require(np.linalg.norm(quaternion) > 0, path, "quat", "of no length", "give a rotation")
     return here, rotation @ matrix_from_quaternion(quaternion / np.linalg.norm(quaternion))
 
 
@@ -108,8 +104,7 @@ def _of_composite(path: Path, element, found: dict) -> np.ndarray:
     shapes = {"s": size[0] * share, "cos(s)": size[1] * np.cos(np.pi * size[2] * share),
               "sin(s)": size[1] * np.sin(np.pi * size[2] * share), "0": 0.0 * share}
     for axis, word in enumerate(element.get("curve", "s 0 0").split()[:3]):
-        if word not in shapes:
-            raise InputError(path, "curve", f"{word!r}", f"give three of {', '.join(shapes)}")
+        require(word in shapes, path, "curve", f"{word!r}", f"give three of {', '.join(shapes)}")
         points[:, axis] = shapes[word]
     return points
 
@@ -151,8 +146,7 @@ def read_usd(path: Path, content: bytes, names: list[str] | None = None) -> Curv
         reason = str(error).strip().splitlines()[-1].strip()
         raise InputError(path, "file", f"is not USD ({reason})", "export the rod as a curve") from None
     prims = [prim for prim in stage.Traverse() if prim.IsA(UsdGeom.BasisCurves) or prim.IsA(UsdGeom.NurbsCurves)]
-    if not prims:
-        raise InputError(path, "BasisCurves", "the file has none", "export the rod as a curve")
+    require(prims, path, "BasisCurves", "the file has none", "export the rod as a curve")
     called = [prim.GetName() for prim in prims]
     found = {name if called.count(name) == 1 else str(prim.GetPath()): UsdGeom.Curves(prim)
              for name, prim in zip(called, prims, strict=True)}
@@ -187,10 +181,8 @@ class DamagedError(ValueError):
 
 
 def read_opencv_yaml(text: str):
-    """The values of one document: dictionaries, lists, text, numbers, and matrices as arrays (rows, cols) in f64.
-
-    Raises DamagedError for text that is not such YAML, and for damaged matrices. No other kind of object is created.
-    """
+    """The values of one document: dictionaries, lists, text, numbers, and matrices as arrays (rows, cols) in f64. Raises
+    DamagedError for text that is not such YAML, and for damaged matrices. No other kind of object is created."""
     import yaml
 
     class Loader(yaml.SafeLoader):

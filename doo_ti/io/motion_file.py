@@ -1,18 +1,10 @@
-"""Motions of grippers: poses of both clamps over time, and their files.
+"""Motions of grippers: poses of both clamps over time, and their files (docs/motions.md): an npz, or a CSV file with a row for
+each moment (:mod:`doo_ti.io.pose_table`).
 
-    time_s                                 (T,), rising; by default 0, 1, 2, …
-    start_position_mm, end_position_mm     (T, 3)
-    start_frame, end_frame                 (T, 3, 3) columns t, m1, m2 of the first edge and of the last
-    start_quaternion, end_quaternion       (T, 4) instead of frames, the scalar first: orientations of tools
-    end_rotation_deg                       (T,) by which the last frame has turned about the rod, whole turns included
-    positions_mm                           (T, V, 3) or (N, T, V, 3), npz only, instead of the others: marks of a rod, or of N
-                                           rods, whose first and last edges are clamped
+A tool's x axis points along the rod, from its start to its end, unless another is named. Between two moments frames turn by
+less than half a turn, unless ``end_rotation_deg`` is given.
 
-in an npz, or in a CSV file, one row per moment (:mod:`doo_ti.io.pose_table`). Omitted quantities do not change. A tool's x axis
-points along the rod, from its start to its end, unless another is named. Between two moments frames turn by less than half a
-turn, unless ``end_rotation_deg`` is given.
-
-Axes: T moments, N motions.
+Axes: T moments, N motions, V marks of a rod.
 """
 
 from collections.abc import Mapping
@@ -24,21 +16,11 @@ import numpy as np
 
 from doo_ti.io.arrays import AXES, checked_arrays, frame_columns, read_numbers
 from doo_ti.io.pose_table import put_frames, read_poses
-from doo_ti.rod.frames import (
-    angle_about,
-    is_half_turn,
-    is_rotation,
-    matrix_from_quaternion,
-    of_like_signs,
-    quaternion_from_matrix,
-    smallest_rotation,
-    some_frames,
-    turned_about_tangent,
-)
+from doo_ti.rod import frames as rotations
 from doo_ti.rod.material import doubt_angle, mm_in
 from doo_ti.rod.types import POSES, Clamps
 from doo_ti.system.arguments import owning, short_repr, typed
-from doo_ti.system.errors import InputError, require_whole
+from doo_ti.system.errors import InputError, require, require_whole
 from doo_ti.system.files import csv_text
 
 SHAPES = {"time_s": (), "start_position_mm": (3,), "end_position_mm": (3,), "start_frame": (3, 3), "end_frame": (3, 3),
@@ -124,7 +106,7 @@ class ClampPath:
         end_frame = put(self.end_frame, clamps.end_frame)
         if self.end_frame is None and self.end_rotation is not None:
             angle = np.broadcast_to(self.end_rotation[moment] - self.end_rotation[0], len(end_frame))
-            end_frame = turned_about_tangent(end_frame, angle)
+            end_frame = rotations.turned_about_tangent(end_frame, angle)
         return replace(clamps, start_position=put(self.start_position, clamps.start_position), end_frame=end_frame,
                        end_position=put(self.end_position, clamps.end_position),
                        start_frame=put(self.start_frame, clamps.start_frame))
@@ -160,18 +142,18 @@ class ClampPath:
         def turning(frames):
             if frames is None:
                 return None
-            between = smooth(of_like_signs(quaternion_from_matrix(frames).swapaxes(0, 1)).swapaxes(0, 1))
-            return matrix_from_quaternion(between / np.linalg.norm(between, axis=-1, keepdims=True))
+            between = smooth(rotations.of_like_signs(rotations.quaternion_from_matrix(frames).swapaxes(0, 1)).swapaxes(0, 1))
+            return rotations.matrix_from_quaternion(between / np.linalg.norm(between, axis=-1, keepdims=True))
         return replace(self, time=time, end_rotation=smooth(self.end_rotation), **{
             name: (turning if name.endswith("frame") else smooth)(getattr(self, name)) for name in POSES})
 
     def _check_frames(self, name: str, frames: np.ndarray) -> None:
-        bad = ~is_rotation(frames)
+        bad = ~rotations.is_rotation(frames)
         if bad.any():
             raise InputError(self.source, name, f"the frame of moment {np.argwhere(bad)[0, 0]} is not a rotation",
                              "give unit, orthogonal columns t, m1, m2 with m2 = t x m1")
         tangents = self.tangents_only or (name == "end_frame" and self.end_rotation is not None)
-        unclear = is_half_turn(frames[:-1], frames[1:], not tangents)
+        unclear = rotations.is_half_turn(frames[:-1], frames[1:], not tangents)
         if unclear.any():
             moment = np.argwhere(unclear)[0, 0]
             raise InputError(self.source, name, f"half a turn from moment {moment} to {moment + 1}, in either sense",
@@ -179,8 +161,8 @@ class ClampPath:
 
     def _check_rotation(self) -> None:
         before, after = self.end_frame[:-1], self.end_frame[1:]
-        carried = matrix_from_quaternion(smallest_rotation(before[..., 0], after[..., 0])) @ before
-        turned = angle_about(after[..., 0], carried[..., 1], after[..., 1])
+        carried = rotations.matrix_from_quaternion(rotations.smallest_rotation(before[..., 0], after[..., 0])) @ before
+        turned = rotations.angle_about(after[..., 0], carried[..., 1], after[..., 1])
         given = np.diff(self.end_rotation, axis=0)
         apart = np.abs(np.angle(np.exp(1j * (given - turned))))
         if (apart > CONTRADICTION).any():
@@ -198,7 +180,7 @@ def path_of_marks(positions: np.ndarray, time: np.ndarray | None = None, source:
         if not (np.linalg.norm(edge, axis=-1) > 0).all():
             raise InputError(source, "positions_mm", f"two marks of the {place} edge coincide", "correct the marks")
     timed, numbers = time is not None, np.arange(len(positions), dtype=np.float64)
-    frames = (some_frames(edge / np.linalg.norm(edge, axis=-1, keepdims=True)) for edge in (first, last))
+    frames = (rotations.some_frames(edge / np.linalg.norm(edge, axis=-1, keepdims=True)) for edge in (first, last))
     return ClampPath(time if timed else numbers, positions[..., 0, :], positions[..., -1, :], *frames, tangents_only=True,
                      timed=timed, source=source)
 
@@ -216,8 +198,7 @@ def load_path(path: str | Path, unit: str | None = None, named: Mapping[str, str
     Raises InputError for files that cannot be read or do not describe a path.
     """
     path, given = Path(path), None if unit is None else mm_in(unit, "load_path")
-    if not set(axes) <= TOOL_AXES.keys():
-        raise InputError("load_path", "axes", f"{axes!r}", f"give two of {', '.join(TOOL_AXES)}")
+    require(set(axes) <= TOOL_AXES.keys(), "load_path", "axes", f"{axes!r}", f"give two of {', '.join(TOOL_AXES)}")
     arrays, stated = _read(path, named)
     for key in arrays.keys() & _LENGTHS:
         arrays[key] = arrays[key] * (stated.get(key, 1.0) if given is None else given)
@@ -235,9 +216,8 @@ def load_path(path: str | Path, unit: str | None = None, named: Mapping[str, str
             arrays[f"{end}_frame"] = np.stack([t, m1, np.cross(t, m1)], axis=-1)
         if turn is not None and f"{end}_frame" in arrays:
             arrays[f"{end}_frame"] = turn @ arrays[f"{end}_frame"]
-    if not arrays.keys() - {"time_s"}:
-        raise InputError(path, "end_position_mm", "missing, so nothing moves",
-                         f"give some of {', '.join([*_POSES, 'end_rotation_deg'])}")
+    require(arrays.keys() - {"time_s"}, path, "end_position_mm", "missing, so nothing moves",
+            f"give some of {', '.join([*_POSES, 'end_rotation_deg'])}")
     count = len(next(iter(arrays.values())))
     poses = {key.removesuffix("_mm"): arrays[key][:, None] for key in _POSES if key in arrays}
     rotation = np.radians(arrays["end_rotation_deg"])[:, None] if "end_rotation_deg" in arrays else None
@@ -250,8 +230,7 @@ def _read(path: Path, named: Mapping[str, str] | None) -> tuple[dict[str, np.nda
     if path.suffix == ".csv":
         return read_poses(path, named)
     arrays = read_numbers(path, (*SHAPES, "positions_mm", "rate_hz"))
-    if named is not None:
-        raise InputError(path, "columns", "an npz has keys", "leave them out")
+    require(named is None, path, "columns", "an npz has keys", "leave them out")
     if "positions_mm" not in arrays:
         count = max((len(value) if value.ndim else 0 for key, value in arrays.items() if key in SHAPES), default=0)
         for key in arrays.keys() & SHAPES.keys():

@@ -1,12 +1,6 @@
 """Observations in files (docs/observations.md): read in any format, by suffix and, of CSV files, by their first lines; written
 as arrays or tables.
 
-    .npz                 keys of observations
-    .csv, .parquet       a row for each vertex; .csv also motion capture and plain polylines
-    .txt, .xyz           plain polylines
-    .xml                 cables of MuJoCo models
-    .usd, .usda, .usdc   curves of USD scenes
-
 Recordings of rods in motion, as ``identify`` and ``simulate`` take them, are in the same files, of which motion capture states
 its rate; their .npz has positions_mm (R, T, V, 3) or (T, V, 3), rate_hz, and optionally recording (R,) names and up (3,).
 
@@ -31,7 +25,7 @@ from doo_ti.rod.material import mm_in
 from doo_ti.rod.observations import KEYS, LENGTHS, Observations
 from doo_ti.rod.types import unit_up
 from doo_ti.system.arguments import typed
-from doo_ti.system.errors import InputError, real_array
+from doo_ti.system.errors import InputError, real_array, require
 from doo_ti.system.files import MOST_BYTES, MOST_TEXT_BYTES, read_content, write_whole
 from doo_ti.system.terminal import in_line
 
@@ -46,9 +40,8 @@ MOST_LEFT_OUT = 10  # frames of a recording in all for each that is there
 
 def checked_suffix(path: Path, known: tuple[str, ...] = OWN) -> None:
     """Raise InputError unless the suffix of ``path`` is ``known``."""
-    if path.suffix not in known:
-        raise InputError(path, "file", f"suffix {path.suffix!r} is not a format of observations",
-                         f"use one of {', '.join(known)}")
+    require(path.suffix in known, path, "file", f"suffix {path.suffix!r} is not a format of observations",
+            f"use one of {', '.join(known)}")
 
 
 def read_keys(path: Path, columns=None) -> tuple[bytes, dict[str, np.ndarray]]:
@@ -63,8 +56,7 @@ def read_keys(path: Path, columns=None) -> tuple[bytes, dict[str, np.ndarray]]:
         curves = read(path, content, _names(path, columns))
         return content, curves.keys() | {"unit": curves.unit}
     if path.suffix == ".npz":
-        if columns is not None:
-            raise InputError(path, "columns", "an npz has keys", "leave `columns` out")
+        require(columns is None, path, "columns", "an npz has keys", "leave `columns` out")
         keys = read_npz(path, content, (*KEYS_IN_TABLES, LABELS, *NAMES))
         lists = [keys.pop(key) for key in NAMES if key in keys]
         names = next((one for one in lists if one.dtype.kind == "U" and one.ndim == 1), None)
@@ -88,8 +80,7 @@ def _opened(path: Path) -> tuple[bytes, Callable[..., Curves] | None]:
         checked_suffix(path, (*OWN, *OF_OTHERS))
     most = MOST_CSV_BYTES if path.suffix == ".csv" else MOST_TEXT_BYTES if path.suffix in OF_OTHERS else MOST_BYTES
     content = read_content(path, most)
-    if not content:
-        raise InputError(path, "file", "0 bytes, the file is empty", "write the observations again")
+    require(content, path, "file", "0 bytes, the file is empty", "write the observations again")
     if path.suffix != ".csv":
         return content, OF_OTHERS.get(path.suffix)
     readers = ((is_motive, read_motive), (is_nexus, read_nexus), (is_polyline, read_polylines))
@@ -97,9 +88,8 @@ def _opened(path: Path) -> tuple[bytes, Callable[..., Curves] | None]:
 
 
 def _names(path: Path, columns) -> list[str] | None:
-    if isinstance(columns, Mapping):
-        raise InputError(path, "columns", "the file is not a table of vertices",
-                         "name its markers or curves in their order along the rod: A,B,C")
+    require(not isinstance(columns, Mapping), path, "columns", "the file is not a table of vertices",
+            "name its markers or curves in their order along the rod: A,B,C")
     return None if columns is None else list(columns)
 
 
@@ -107,9 +97,8 @@ def _renamed(path: Path, columns) -> dict[str, str]:
     if columns is None:
         return {}
     unknown = [name for name in columns if name not in RENAMED]
-    if unknown or not isinstance(columns, Mapping):
-        raise InputError(path, "columns", f"{','.join(unknown or columns)!r}",
-                         f"give NAME=COLUMN for some of {', '.join(RENAMED)}")
+    require(not unknown and isinstance(columns, Mapping), path, "columns", f"{','.join(unknown or columns)!r}",
+            f"give NAME=COLUMN for some of {', '.join(RENAMED)}")
     return dict(columns)
 
 
@@ -137,8 +126,7 @@ def load_observations(path: str | os.PathLike[str], up: ArrayLike | None = None,
         if unit is not None:
             factor = mm_in(unit, "load_observations") / keys.get("unit", 1.0)
             values |= {name: value * factor for name, value in values.items() if name in LENGTHS and value.dtype.kind != "b"}
-    if "vertices_mm" not in keys:
-        raise InputError(path, "vertices_mm", "the key is missing", "store the vertices as vertices_mm (D, V, 3)")
+    require("vertices_mm" in keys, path, "vertices_mm", "the key is missing", "store the vertices as vertices_mm (D, V, 3)")
     if without_lost:
         values = _without_lost(values)
     observations = Observations(**values, name=in_line(path.stem), source=str(path), sha256=hashlib.sha256(content).hexdigest())
@@ -169,10 +157,8 @@ def _without_lost(values: dict) -> dict:
 
 @typed
 def save_observations(path: str | os.PathLike[str], observations: Observations) -> None:
-    """Write ``observations`` to an ``.npz``, ``.csv`` or ``.parquet`` file, whole or not at all.
-
-    Raises InputError for another suffix.
-    """
+    """Write ``observations`` to an ``.npz``, ``.csv`` or ``.parquet`` file, whole or not at all. Raises InputError for another
+    suffix."""
     path = Path(path)
     checked_suffix(path)
     keys = {KEYS[field.name]: getattr(observations, field.name) for field in fields(observations) if field.name in KEYS}
@@ -220,8 +206,7 @@ def read_recording(path: str | Path, unit: str | None = None, columns: Mapping[s
     """
     path, stated = Path(path), None if unit is None else mm_in(unit, "RecordedMotion.load")
     if path.suffix == ".npz":
-        if columns is not None:
-            raise InputError(path, "columns", "the file has no columns", "leave `columns` out")
+        require(columns is None, path, "columns", "the file has no columns", "leave `columns` out")
         return _of_arrays(path, rate, 1.0 if stated is None else stated)
     curves = read_curves(path, columns)
     if curves is not None and curves.rate is not None:
@@ -229,8 +214,7 @@ def read_recording(path: str | Path, unit: str | None = None, columns: Mapping[s
         labels = np.arange(len(curves.points)) if curves.labels is None else curves.labels
         frames, points = _every_frame(path, labels, curves.points)
         return MotionRecording(factor * points, rate or curves.rate, up=np.array(curves.up), frames=frames)
-    if rate is None:
-        raise InputError(path, "rate", "the file states no frames per second", "give `rate`")
+    require(rate is not None, path, "rate", "the file states no frames per second", "give `rate`")
     observations = load_observations(path, None, unit, columns)
     frames, positions = _every_frame(path, observations.labels, observations.vertices)
     return MotionRecording(positions, rate, up=observations.up, frames=frames)
@@ -258,8 +242,7 @@ def _of_arrays(path: Path, rate: float | None, unit: float) -> MotionRecording:
     if rate is not None:
         found["rate_hz"] = np.float64(rate)
     for key in ("positions_mm", "rate_hz"):
-        if key not in found:
-            raise InputError(path, key, "missing", "give positions_mm (R, T, V, 3) or (T, V, 3) and rate_hz")
+        require(key in found, path, key, "missing", "give positions_mm (R, T, V, 3) or (T, V, 3) and rate_hz")
         found[key] = real_array(path, key, found[key], "store real numbers")
     positions, names = unit * found["positions_mm"].astype(np.float64), found.get("recording")
     if found["rate_hz"].size != 1:

@@ -1,18 +1,10 @@
-"""Tables of rods, CSV or Parquet, a row per vertex: of observations, to and from the keys of the npz format without loss; and
-of results.
+"""Tables of rods, CSV or Parquet, a row per vertex: of observations, to and from the keys of the npz format without loss
+(docs/observations.md); and of results.
 
-    observation                a whole number, or a name in every row
-    vertex                     0 … E, or 1 … V, of each observation at most once, rows in any order
-    x_mm, y_mm, z_mm           the vertex; empty, NaN, or without a row where it is missing
-    valid, sigma_mm            of the vertex
-    rest_length_mm, frame_*    of the edge from this vertex to the next, empty at vertex E
-    end_distance_mm, end_rotation_deg, total_twist_deg, start_frame_*, end_frame_*
-                               of the observation: in one of its rows, the others repeat it or are empty
-    up_x, up_y, up_z           of the file
-
-The nine columns of a frame end in t_x, m1_x, m2_x, t_y, …, m2_z. Only the position is required, and its columns may state
-another unit, x_m or x_cm, or none, x, which is mm; without ``vertex`` rows are in order along the rod, without ``observation``
-there is one. Names are known in any case. Other columns are ignored.
+What belongs to a vertex, to the edge from it to the next, or to the observation, :data:`KEYS_IN_TABLES` says. Cells are empty
+where a mark is missing, and at the last vertex, where no edge begins; what belongs to an observation is in one of its rows, the
+others repeat it or are empty. Vertices count from 0 or 1, rows are in any order; without ``vertex`` they are in order along the
+rod, without ``observation`` there is one. Names are known in any case. Other columns are ignored.
 
 Tables of results begin with the axes of the rods, such as moment and rod, in place of ``observation``. Values of an edge are at
 the vertex where it begins, those of a rod, or of one of its axes, in all its rows; several numbers are NAME_0, NAME_1, …,
@@ -26,30 +18,17 @@ from typing import BinaryIO
 
 import numpy as np
 
-from doo_ti.io.arrays import (
-    AXES,
-    LENGTH_ENDINGS,
-    check_unpacked,
-    first_line,
-    frame_columns,
-    given_columns,
-    listed,
-    read_csv,
-)
-from doo_ti.system.errors import InputError
+from doo_ti.io.arrays import AXES, LENGTH_ENDINGS, check_unpacked, first_line, frame_columns, given_columns, listed, read_csv
+from doo_ti.system.errors import InputError, require
 
 # Key of the npz format: what a value of it belongs to, the shape of the value, the names of its columns.
 KEYS_IN_TABLES = {
     "vertices_mm": ("vertex", (3,), tuple(f"{axis}_mm" for axis in AXES)),
-    "valid": ("vertex", (), ("valid",)),
-    "sigma_mm": ("vertex", (), ("sigma_mm",)),
+    **{key: ("vertex", (), (key,)) for key in ("valid", "sigma_mm")},
     "rest_length_mm": ("edge", (), ("rest_length_mm",)),
     "frames": ("edge", (3, 3), frame_columns("frame")),
-    "end_distance_mm": ("observation", (), ("end_distance_mm",)),
-    "end_rotation_deg": ("observation", (), ("end_rotation_deg",)),
-    "total_twist_deg": ("observation", (), ("total_twist_deg",)),
-    "start_frame": ("observation", (3, 3), frame_columns("start_frame")),
-    "end_frame": ("observation", (3, 3), frame_columns("end_frame")),
+    **{key: ("observation", (), (key,)) for key in ("end_distance_mm", "end_rotation_deg", "total_twist_deg")},
+    **{key: ("observation", (3, 3), frame_columns(key)) for key in ("start_frame", "end_frame")},
     **{f"{end}_quaternion": ("observation", (4,), tuple(f"{end}_q{part}" for part in "wxyz")) for end in ("start", "end")},
     "up": ("observation", (3,), tuple(f"up_{axis}" for axis in AXES)),
     "spacing_error": ("observation", (), ("spacing_error",)),
@@ -139,8 +118,7 @@ def _named(path: Path, names, renamed: dict[str, str]) -> dict[str, tuple[str, f
             found |= {name: (given[column], factor) for name, column in zip(_POSITION, own, strict=True) if column in given}
     has = f"the file has {listed(names)}"
     for name, column in renamed.items():
-        if column not in names:
-            raise InputError(path, column, "the column is missing", has)
+        require(column in names, path, column, "the column is missing", has)
         found[f"{name}_mm" if name in AXES else name] = (column, 1.0)
     missing = next((name for name in _POSITION if name not in found), None)
     number = next((given[name] for name in OTHER_NUMBERS if name in given), None)
@@ -148,9 +126,8 @@ def _named(path: Path, names, renamed: dict[str, str]) -> dict[str, tuple[str, f
         mark = next((given[name] for name in OTHER_MARKS if name in given and "vertex" not in found), None)
         raise InputError(path, "observation", f"the column is missing, and {number} seems to number the observations",
                          f"give --columns observation={number}{'' if mark is None else f',vertex={mark}'}")
-    if missing is not None:
-        raise InputError(path, missing, "the column is missing", f"give the columns observation, vertex, "
-                         f"{', '.join(_POSITION)}, or name yours with `columns`; {has}")
+    require(missing is None, path, missing, "the column is missing",
+            f"give the columns observation, vertex, {', '.join(_POSITION)}, or name yours with `columns`; {has}")
     return found
 
 
@@ -175,10 +152,8 @@ def _parquet_columns(path: Path, content: bytes, renamed) -> tuple[dict[str, np.
         file = pyarrow.parquet.ParquetFile(pyarrow.BufferReader(content))
         metadata, names = file.metadata, file.schema_arrow.names
         twice = next((name for name, count in Counter(names).items() if count > 1), None)
-        if twice is not None:
-            raise InputError(path, twice, "the column is there twice", "keep one of them")
-        if metadata.num_rows == 0:
-            raise InputError(path, "file", "holds no rows", "write one row per vertex")
+        require(twice is None, path, twice, "the column is there twice", "keep one of them")
+        require(metadata.num_rows != 0, path, "file", "holds no rows", "write one row per vertex")
         check_unpacked(path, content, max(8 * metadata.num_rows * metadata.num_columns, sum(
             metadata.row_group(group).total_byte_size for group in range(metadata.num_row_groups))))
         named = _named(path, names, renamed)

@@ -1,15 +1,10 @@
-"""Poses of grippers in CSV files, of this package and of robots' logs: one row per moment, to the keys of motion files.
-
-    time_s                               or time, timestamp, t; in other units time_ms, time_us, time_ns
-    start_x_mm, … end_z_mm               positions; also start_x_m, start_x_cm, or start_x, which is mm
-    end_qw, end_qx, end_qy, end_qz       orientation as a quaternion, or
-    end_rx, end_ry, end_rz               as a rotation vector, rad, or
-    end_roll, end_pitch, end_yaw         as turns about the fixed x, then y, then z, rad
-    end_frame_t_x, …, end_rotation_deg   (:mod:`doo_ti.io.motion_file`)
+"""Poses of grippers in CSV files, of this package and of robots' logs: one row per moment, to the keys of motion files
+(docs/motions.md).
 
 Names are known in any case, with points or slashes for underscores, and as logs write them: ``end.pose.position.x``,
-``end/orientation/w``. Columns without ``start`` and ``end`` are those of the end gripper, where none has them. Angles that end
-in ``_deg`` are degrees. Other columns are ignored.
+``end/orientation/w``. The time is time, timestamp, stamp or t, also in ms, us or ns; roll, pitch and yaw are turns about the
+fixed x, then y, then z. Columns without ``start`` and ``end`` are those of the end gripper, where none has them. Other columns
+are ignored.
 """
 
 import os
@@ -22,7 +17,7 @@ import numpy as np
 
 from doo_ti.io.arrays import AXES, LENGTH_ENDINGS, NEARLY, CsvTable, frame_columns, given_columns, listed, read_csv, read_npz
 from doo_ti.rod.frames import matrix_from_quaternion, rotation_matrix
-from doo_ti.system.errors import InputError, real_array
+from doo_ti.system.errors import InputError, real_array, require
 from doo_ti.system.files import read_content
 
 ENDS = ("start", "end")
@@ -67,8 +62,7 @@ def read_poses(path: Path, named: Mapping[str, str] | None = None) -> tuple[dict
     used = {*_TIMES, "end_rotation_deg"}
     alike = next((name for plain, name in columns.items() if plain not in used and
                   get_close_matches(plain, ["end_rotation_deg"], 1, NEARLY)), None)
-    if alike is not None:
-        raise InputError(path, alike, f"unknown column {alike!r}", "name it end_rotation_deg, or otherwise")
+    require(alike is None, path, alike, f"unknown column {alike!r}", "name it end_rotation_deg, or otherwise")
     return keys, units
 
 
@@ -111,8 +105,7 @@ def _poses(local: dict[str, str]) -> bool:
 def _time(path: Path, columns: dict[str, str], named: dict[str, str]) -> tuple[str, float] | None:
     """The column of the time, and s in its unit."""
     if (own := named.get("time")) is not None:
-        if _plain(own) not in columns:
-            raise InputError(path, own, "the column is missing", f"the file has {listed(columns.values())}")
+        require(_plain(own) in columns, path, own, "the column is missing", f"the file has {listed(columns.values())}")
         unit = re.search(r"_(ms|us|ns)$", _plain(own))
         return columns[_plain(own)], _TIMES[f"time_{unit[1]}"] if unit else 1.0
     return next(((columns[name], factor) for name, factor in _TIMES.items() if name in columns), None)
@@ -135,8 +128,7 @@ def _add(table: CsvTable, end: str, local: dict[str, str], keys: dict, units: di
         if values := _angles(table, local, _TURNS, ending):
             about = [rotation_matrix(factor * value[:, None] * np.eye(3)[k]) for k, value in enumerate(values)]
             frames["turns"] = about[2] @ about[1] @ about[0]
-    if len(frames) > 1:
-        raise InputError(table.path, end, f"orientation as {' and as '.join(frames)}", "give one of them")
+    require(len(frames) <= 1, table.path, end, f"orientation as {' and as '.join(frames)}", "give one of them")
     for kind, frame in frames.items():
         keys[f"{end}_frame" if kind == "frame" else f"{end}_orientation"] = frame
 
@@ -169,8 +161,7 @@ def put_frames(path: Path, arrays: dict[str, np.ndarray], name: str) -> None:
     Raises InputError for a quaternion beside a frame of the same end."""
     for end in ENDS:
         if (quaternion := arrays.pop(f"{end}_quaternion", None)) is not None:
-            if f"{end}_frame" in arrays:
-                raise InputError(path, f"{end}_quaternion", f"given beside {end}_frame", "give one of them")
+            require(f"{end}_frame" not in arrays, path, f"{end}_quaternion", f"given beside {end}_frame", "give one of them")
             arrays[f"{end}_{name}"] = frame_of_quaternion(path, f"{end}_quaternion", quaternion)
 
 

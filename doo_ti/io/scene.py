@@ -1,25 +1,5 @@
-"""Scenes: an experiment in one TOML file: its observations, the grid to search, and the options of the search (§V-A).
-
-    name = "silk"                 # the rod's material
-    frame_weight_mm = 0.0         # w_m of Eq. 1
-    clamp_start = "frame"         # position, tangent, frame or free; left out: frame where it is given, else tangent
-    clamp_end = "frame"
-    objective = "static"          # Eq. 2, or "dynamic", Eq. 3
-    pairs = "pairs.csv"           # of Eq. 3, relative to the scene; left out: from the labels, as in the paper
-    roll_hypotheses = 0           # angles to try for a clamp whose roll was not measured; 0: it rolls freely
-    precision = "mixed"           # f32, f64 or mixed
-
-    [observations]                # a file, its path relative to the scene …
-    file = "silk.npz"
-
-    [synthesis]                   # … or the virtual lab: the fields of Synthesis
-    bend = 1.5e5
-    twist = 5e4
-
-    [grid]                        # axes as the command line writes them
-    bend = "5e4:1e7:25"
-    twist_ratio = "0.1:6:25"
-"""
+"""Scenes: an experiment in one TOML file: its observations, the grid to search, and the options of the search (§V-A;
+docs/scenes.md)."""
 
 import hashlib
 import math
@@ -44,7 +24,7 @@ from doo_ti.io.toml_file import (
 )
 from doo_ti.rod.grid import UNITS, Grid, parse_axes
 from doo_ti.rod.types import LARGEST, Clamp, Material
-from doo_ti.system.errors import InputError
+from doo_ti.system.errors import InputError, require
 
 OBJECTIVES = ("static", "dynamic")
 PRECISIONS = ("f32", "f64", "mixed")
@@ -150,22 +130,13 @@ class Synthesis:
         return Material(np.array(self.bend), self.twist, self.weight)
 
     def _require(self, name: str, holds: bool, remedy: str) -> None:
-        if not holds:
-            value = getattr(self, name)
-            raise InputError(self.source, f"synthesis.{name}", f"{value!r} is out of range", f"give {remedy}")
+        require(holds, self.source, f"synthesis.{name}", f"{getattr(self, name)!r} is out of range", f"give {remedy}")
 
 
 @dataclass(frozen=True)
 class Scene:
-    """One experiment: observations, or how to simulate them, and the search over Θ.
-
-    observations  the file, or the recipe
-    frame_weight  w_m of Eq. 1, mm
-    clamp_start, clamp_end  Clamp, or None: the frame where it is given, else the tangent
-    objective     "static", Eq. 2, or "dynamic", Eq. 3
-    pairs         the file of Eq. 3's pairs, or None: from the labels
-    roll_hypotheses  angles, evenly over a turn, to try for a clamp whose roll was not measured; 0: it rolls freely
-    """
+    """One experiment: the file of its observations, or how to simulate them, and the search over Θ, as docs/scenes.md has its
+    keys. Clamps that are None hold the frame where it is given, else the tangent; ``frame_weight`` is w_m of Eq. 1, mm."""
 
     name: str
     observations: Path | Synthesis
@@ -220,8 +191,7 @@ def load_scene(path: str | os.PathLike[str]) -> Scene:
             if key not in known:
                 raise unknown_key(path, f"synthesis.{key}", known)
         for key in ("bend", "twist"):
-            if key not in file.synthesis:
-                raise InputError(path, f"synthesis.{key}", "missing", f"give the rod's {key} in mm³")
+            require(key in file.synthesis, path, f"synthesis.{key}", "missing", f"give the rod's {key} in mm³")
         observations = Synthesis(**file.synthesis, name=name, source=str(path))
     else:
         observations = path.parent / checked(path, "observations", file.observations, _ObservationsTable).file
@@ -230,12 +200,9 @@ def load_scene(path: str | os.PathLike[str]) -> Scene:
             raise unknown_key(path, f"grid.{axis}", UNITS)
     axes, bend_12 = parse_axes({axis: str(checked(path, f"grid.{axis}", value, float | str))
                                 for axis, value in file.grid.items()}, str(path))
+    start, end = (None if clamp is None else Clamp[clamp.upper()] for clamp in (file.clamp_start, file.clamp_end))
     return Scene(
         name=name, observations=observations, grid=Grid(tuple(axes), bend_12, str(path)), frame_weight=file.frame_weight_mm,
-        clamp_start=_clamp(file.clamp_start), clamp_end=_clamp(file.clamp_end), objective=file.objective,
+        clamp_start=start, clamp_end=end, objective=file.objective,
         pairs=path.parent / file.pairs if file.pairs else None, roll_hypotheses=file.roll_hypotheses or file.spins,
         precision=file.precision, source=str(path), sha256=hashlib.sha256(content).hexdigest())
-
-
-def _clamp(name: str | None) -> Clamp | None:
-    return None if name is None else Clamp[name.upper()]

@@ -5,31 +5,7 @@ msgspec checks that each value has its declared type and range. A message names 
     scene.toml: rod.edges: 2 is not allowed; give a whole number >= 4
 
 Commands take scenes of the package by name in any folder: ``vicryl``, ``whip``, ``scenes/rig.yaml``. Scenes share the keys of a
-rod's material, relative to its weight or in physical units as the options of commands have it
-(:mod:`doo_ti.rod.material`), and of what is stated at some moments of a motion, smooth between them: quantities of any
-kind, and the clamps of a rod's ends.
-
-    bend = 6e5                         # mm³, or a matrix [[A1, A12], [A12, A2]]
-    twist = 8e5                        # mm³ (the same as a bend that is a number)
-    weight = 1.0                       # (1)
-
-    EI = 1e-5                          # N m², or a matrix, instead of bend and weight
-    GJ = 8e-6                          # N m² (the same as an EI that is a number)
-    linear_density = 3.0               # g/m, needed with EI; beside bend and weight it only gives forces in N
-
-    start = "frame"                    # free, position, tangent or frame
-    end = "free"
-
-    [[moments]]                        # none or more; what is left out stays as it was
-    time_s = 0.0
-    start_position_mm = [0, 0, 0]      # at first where the rod is
-    start_direction = [0, 0, -1]
-    end_position_mm = [0, 0, -1000]
-    end_direction = [0, 0, -1]
-    start_turns = 0.0                  # about its direction, since the beginning (0)
-    end_turns = 2.5
-
-``end_rotation_deg``, what end_turns was in scenes of ``predict``, is read too.
+rod's material, and of what is stated at some moments of a motion, smooth between them (docs/scenes.md).
 """
 
 import re
@@ -42,16 +18,10 @@ from typing import Annotated, Literal, get_args, get_origin
 import msgspec
 import numpy as np
 
-from doo_ti.rod.frames import (
-    matrix_from_quaternion,
-    quaternion_product,
-    smallest_rotation,
-    turned_about_tangent,
-    unit_direction,
-)
+from doo_ti.rod import frames as rotations
 from doo_ti.rod.material import bend_or_twist, force_in_newton, weight_per_length
 from doo_ti.rod.types import LARGEST, Configuration
-from doo_ti.system.errors import InputError
+from doo_ti.system.errors import InputError, require
 from doo_ti.system.files import MOST_TEXT_BYTES, read_content
 from doo_ti.system.terminal import warn
 
@@ -188,9 +158,8 @@ def stated_material(source, key: str, keys: MaterialKeys, unit_density: float | 
     """
     physical = keys.EI is not None
     for name, other in (("bend", "EI"), ("weight", "EI"), ("twist", "EI"), ("GJ", "bend")):
-        if getattr(keys, name) is not None and getattr(keys, other) is not None:
-            raise InputError(source, f"{key}.{name}", f"given beside {other}", "give bend, twist and weight, or EI and GJ with "
-                             "linear_density")
+        require(getattr(keys, name) is None or getattr(keys, other) is None, source, f"{key}.{name}", f"given beside {other}",
+                "give bend, twist and weight, or EI and GJ with linear_density")
     if not physical and keys.bend is None:
         raise InputError(source, f"{key}.{'EI' if keys.GJ is not None else 'bend'}", "missing",
                          "give bend, or EI with linear_density")
@@ -220,8 +189,7 @@ def instants(source, rate: float, duration: float, most: int, called: str) -> np
     """(1 + steps,) s: ``rate`` instants a second from zero to ``duration``, the values of ``rate_hz`` and ``duration_s`` in the
     file ``source``. Raises InputError, which calls them ``called``, for fewer than one step or more than ``most``."""
     steps = round(duration * rate)
-    if not 1 <= steps <= most:
-        raise InputError(source, "duration_s", f"{steps} {called} at rate_hz", f"give 1 to {most:,}")
+    require(1 <= steps <= most, source, "duration_s", f"{steps} {called} at rate_hz", f"give 1 to {most:,}")
     return np.arange(steps + 1) / rate
 
 
@@ -246,7 +214,7 @@ def interpolated(source, name: str, rows: list, table: type[Table], first: Mappi
             value = getattr(moment, key)
             if value is not None:
                 direction = key.endswith("direction")
-                now[key] = unit_direction(source, f"{name}[{k}].{key}", value) if direction else np.array(value)
+                now[key] = rotations.unit_direction(source, f"{name}[{k}].{key}", value) if direction else np.array(value)
         if moment.time_s == at[-1]:  # the first one takes the place of the beginning
             at, states = [], []
         at.append(moment.time_s)
@@ -301,12 +269,11 @@ def end_paths(source, key: str, rows: list, start: Configuration, time: np.ndarr
     held = {}
     for end, edge in (("start", 0), ("end", -1)):
         length = np.linalg.norm(paths[f"{end}_direction"], axis=-1, keepdims=True)
-        if not (length > 0).all():
-            raise InputError(source, key, f"{end}_direction reverses from one moment to the next",
-                             "give a moment with a direction in between")
+        require((length > 0).all(), source, key, f"{end}_direction reverses from one moment to the next",
+                "give a moment with a direction in between")
         along = np.concatenate([frames[edge, None, :, 0], paths[f"{end}_direction"] / length])
         along = _transported(along, frames[edge, :, 1])[1:]
-        held[end] = turned_about_tangent(along, 2 * np.pi * paths[f"{end}_turns"])
+        held[end] = rotations.turned_about_tangent(along, 2 * np.pi * paths[f"{end}_turns"])
     return EndPaths(paths["start_position_mm"], paths["end_position_mm"], held["start"], held["end"],
                     2 * np.pi * paths["end_turns"])
 
@@ -324,11 +291,11 @@ def _transported(directions: np.ndarray, m1: np.ndarray) -> np.ndarray:
     """(T, 3, 3) frames along unit ``directions`` (T, 3), from one with that ``m1`` (3,) by the smallest rotation from each to
     the next. The rotations of 2, then 4, 8, … successive instants are multiplied, as there may be a million instants."""
     turn, together = np.tile([1.0, 0.0, 0.0, 0.0], (len(directions), 1)), 1
-    turn[1:] = smallest_rotation(directions[:-1], directions[1:])
+    turn[1:] = rotations.smallest_rotation(directions[:-1], directions[1:])
     while together < len(turn):
-        turn[together:] = quaternion_product(turn[together:], turn[:-together])
+        turn[together:] = rotations.quaternion_product(turn[together:], turn[:-together])
         together *= 2
-    across = matrix_from_quaternion(turn / np.linalg.norm(turn, axis=-1, keepdims=True)) @ m1
+    across = rotations.matrix_from_quaternion(turn / np.linalg.norm(turn, axis=-1, keepdims=True)) @ m1
     across -= np.sum(across * directions, axis=-1, keepdims=True) * directions
     across /= np.linalg.norm(across, axis=-1, keepdims=True)
     return np.stack([directions, across, np.cross(directions, across)], axis=-1)

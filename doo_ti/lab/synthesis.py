@@ -14,16 +14,7 @@ from doo_ti.io.scene import Synthesis
 from doo_ti.motion.path import LARGEST_TURN, Motion, carry, motion_between
 from doo_ti.relaxation.newton import Newton
 from doo_ti.relaxation.relax import relax
-from doo_ti.rod.frames import (
-    bishop_frames,
-    matrix_from_quaternion,
-    quaternion_from_matrix,
-    quaternion_of_turn,
-    quaternion_product,
-    rotation_matrix,
-    smallest_rotation,
-    total_twist,
-)
+from doo_ti.rod import frames as rotations
 from doo_ti.rod.observations import Observations
 from doo_ti.rod.shapes import material_curvature
 from doo_ti.rod.types import Clamp, Clamps, Configuration, Material, Solution
@@ -85,7 +76,7 @@ def _real_clip(position: np.ndarray, frame: np.ndarray, reach: float, tilt: np.n
     """(R, 3) positions ``reach`` along the rod from its outer end, and (R, 3, 3) frames, of one clip."""
     vector = np.concatenate([np.zeros_like(tilt[..., :1]), tilt], axis=-1)
     outer = position - reach * frame[..., 0] + frame[..., 1:] @ offset
-    turned = frame @ rotation_matrix(vector)
+    turned = frame @ rotations.rotation_matrix(vector)
     return outer + reach * turned[..., 0], turned
 
 
@@ -100,10 +91,8 @@ def synthesise(synthesis: Synthesis) -> Observations:
 
 
 def fine_vertices(synthesis: Synthesis) -> np.ndarray:
-    """(R, V_fine, 3) mm: the rods themselves behind :func:`synthesise`, clips included, ``fine_edge_mm`` to an edge.
-
-    Raises InterruptedRunError as that does.
-    """
+    """(R, V_fine, 3) mm: the rods themselves behind :func:`synthesise`, clips included, ``fine_edge_mm`` to an edge. Raises
+    InterruptedRunError as that does."""
     return _rods(synthesis, np.random.default_rng(synthesis.seed)).vertices
 
 
@@ -216,14 +205,14 @@ def _brought_to_distances(synthesis: Synthesis, material: Material) -> tuple[Con
     t = np.array(synthesis.start_direction) / np.linalg.norm(synthesis.start_direction)
     # m1 is as close as possible to the y axis, else to x.
     across = np.array([0.0, 1.0, 0.0]) if abs(t[1]) < 0.9 else np.array([1.0, 0.0, 0.0])
-    first = bishop_frames(t[None], across - (across @ t) * t)[0]
+    first = rotations.bishop_frames(t[None], across - (across @ t) * t)[0]
     last_tangent = np.array(synthesis.end_direction) / np.linalg.norm(synthesis.end_direction)
-    turn = smallest_rotation(first[:, 0], last_tangent)
+    turn = rotations.smallest_rotation(first[:, 0], last_tangent)
     near, far = _reach(synthesis)
     edges = _free_edges(synthesis)
     lengths = np.full(edges, synthesis.fine_edge_mm)
     start = near * first[:, 0]
-    shape = Configuration(start[None], np.tile(quaternion_from_matrix(first), (1, edges, 1)), lengths)
+    shape = Configuration(start[None], np.tile(rotations.quaternion_from_matrix(first), (1, edges, 1)), lengths)
     held = dict(start=Clamp.FRAME, end=Clamp.FRAME, start_position=start[None], start_frame=first[None])
     clamps = Clamps(end_position=shape.vertices[:, -1], end_frame=first[None], **held)
     angle = 2 * np.arccos(np.clip(turn[0], -1, 1))
@@ -283,7 +272,7 @@ def _labelled(synthesis: Synthesis, rods: _Rods, random: np.random.Generator) ->
     noise = synthesis.label_noise_mm * random.normal(size=marks.shape)
     if not synthesis.end_mark_noise:
         noise[:, : held[0]] = noise[:, -held[1] :] = 0.0
-    distances, rotations = len(synthesis.end_distances_mm), len(synthesis.end_rotations_deg)
+    distances, turns = len(synthesis.end_distances_mm), len(synthesis.end_rotations_deg)
     measured = None
     if synthesis.frames:
         clip = _clip_edges(synthesis)[0]
@@ -291,20 +280,13 @@ def _labelled(synthesis: Synthesis, rods: _Rods, random: np.random.Generator) ->
         wobble = synthesis.label_noise_mm * np.sqrt(2) / spacing * random.normal(size=(len(marks), synthesis.marks - 1, 3))
         near, far = (max(count - 1, 1) for count in held)
         wobble[:, :near] = wobble[:, -far:] = 0.0
-        turn = quaternion_of_turn(wobble)
-        measured = matrix_from_quaternion(quaternion_product(turn, quaternion_from_matrix(frames[:, middle])))
+        turn, own = rotations.quaternion_of_turn(wobble), rotations.quaternion_from_matrix(frames[:, middle])
+        measured = rotations.matrix_from_quaternion(rotations.quaternion_product(turn, own))
         if rods.reported is not None:
             measured[:, :near], measured[:, -far:] = start_frame[:, None], end_frame[:, None]
-    twist = np.degrees(total_twist(quaternion_from_matrix(frames)))
+    twist = np.degrees(rotations.total_twist(rotations.quaternion_from_matrix(frames)))
     return Observations(
-        vertices=marks + noise,
-        rest_length=np.full(synthesis.marks - 1, spacing),
-        start_frame=start_frame,
-        end_frame=end_frame,
-        frames=measured,
-        total_twist=np.radians(30.0 * np.round(twist / 30.0) + 0.0),
-        end_distance=np.tile(synthesis.end_distances_mm, rotations),
-        end_rotation=np.repeat(synthesis.end_rotations_deg, distances),
-        name=synthesis.name,
-        source=synthesis.source,
-    )
+        marks + noise, rest_length=np.full(synthesis.marks - 1, spacing), start_frame=start_frame, end_frame=end_frame,
+        frames=measured, total_twist=np.radians(30.0 * np.round(twist / 30.0) + 0.0),
+        end_distance=np.tile(synthesis.end_distances_mm, turns), end_rotation=np.repeat(synthesis.end_rotations_deg, distances),
+        name=synthesis.name, source=synthesis.source)

@@ -4,7 +4,7 @@ a servo brings to a target.
 Images are shown as they were taken, and curves are projected onto them with the lens' distortion, which the viewer's own
 cameras do not have; their frusta are shown in space.
 
-Axes: T frames, C cameras, n hypotheses of a set at a step, V vertices.
+Axes: T frames, C cameras, n hypotheses of a set at a step, V vertices. ``up`` (3,) is the direction against gravity.
 """
 
 import numpy as np
@@ -36,12 +36,11 @@ def record_perception(path, *, run_id: str, name: str, rig: Rig, rods: list[Seen
 
     rods    sets of images with the rods that explain them
     growth  of each of them, from two edges on
-    up      direction against gravity
     """
     places = [f"set{index}_{viewer.entity_name(seen.name)}" for index, seen in enumerate(rods)]
     with viewer.recording(path, run_id, name, _growth_layout(rig, places, rods, np.asarray(up, float))) as stream:
         for place, seen, steps in zip(places, rods, growth, strict=True):
-            viewer.log_up(stream, f"world/{place}", np.asarray(up, float))
+            viewer.log_up(stream, f"world/{place}", up)
             _log_cameras(stream, place, rig, seen)
             _log_styles(stream, place, rig)
             for number, step in enumerate(steps, 2):
@@ -62,15 +61,14 @@ def _log_cameras(stream, place: str, rig: Rig, seen: SeenRod) -> None:
         flat = f"images/{place}/{camera.name}"
         stream.log(flat, rerun.Image(image, color_model="L").compress(jpeg_quality=JPEG_QUALITY), static=True)
         stream.log(f"{flat}/detected", rerun.Points2D(
-            _drawn(detected), colors=_rgb(DETECTED), radii=rerun.Radius.ui_points(1.2), draw_order=5.0), static=True)
+            _drawn(detected), colors=_rgb(DETECTED), radii=viewer.points(1.2), draw_order=5.0), static=True)
         _log_frustum(stream, f"world/{place}/cameras/{camera.name}", camera, FRUSTUM_MM)
         if seen.truth is not None:
-            stream.log(f"{flat}/truth", rerun.LineStrips2D(
-                [_drawn(camera.project(seen.truth))], colors=_rgb(TRUTH), radii=rerun.Radius.ui_points(1.0), draw_order=8.0),
-                static=True)
+            stream.log(f"{flat}/truth", rerun.LineStrips2D([_drawn(camera.project(seen.truth))], colors=_rgb(TRUTH),
+                                                           radii=viewer.points(1.0), draw_order=8.0), static=True)
     if seen.truth is not None:
         stream.log(f"world/{place}/truth", rerun.LineStrips3D(
-            viewer.drawn_strips(seen.truth[None]), colors=_rgb(TRUTH), radii=rerun.Radius.ui_points(1.0)), static=True)
+            viewer.drawn_strips(seen.truth[None]), colors=_rgb(TRUTH), radii=viewer.points(1.0)), static=True)
     words = rerun.TextDocument(f"**{seen.name}**: {seen.verdict}", media_type="text/markdown")
     stream.log(f"summary/{place}", words, static=True)
 
@@ -89,8 +87,7 @@ def _log_styles(stream, place: str, rig: Rig) -> None:
         for name, color, width in (("pruned", viewer.FAILED, 0.4), ("kept", KEPT, 0.7), ("runner_up", _rgb(RUNNER_UP), 1.6),
                                    ("rods", _rgb(BEST), 1.6)):
             order = {} if strips is rerun.LineStrips3D else {"draw_order": {"pruned": 6.0, "kept": 7.0}.get(name, 9.0)}
-            stream.log(f"{root}/{name}", strips.from_fields(colors=[color], radii=rerun.Radius.ui_points(width), **order),
-                       static=True)
+            stream.log(f"{root}/{name}", strips.from_fields(colors=[color], radii=viewer.points(width), **order), static=True)
 
 
 def _log_curves(stream, place: str, rig: Rig, curves: dict[str, list[np.ndarray]]) -> None:
@@ -145,25 +142,24 @@ def record_track(path, *, run_id: str, name: str, rig: Rig, paths, vertices: np.
     vertices  (T, V, 3) mm, NaN where the rod is lost
     error     (T, C) px to the detection, NaN where there is none
     how       (T,) :class:`doo_ti.perception.tracking.How`
-    up        direction against gravity
     """
     layout = _video_layout(rig, "frame", "Rod: blue tracked, orange by Algorithm 1", "error", "Distance to the detection [px]",
                            "How the rod was found")
     with viewer.recording(path, run_id, name, layout) as stream:
-        viewer.log_up(stream, "world", np.asarray(up, float))
+        viewer.log_up(stream, "world", up)
         for camera in rig.cameras:
             _log_frustum(stream, f"world/cameras/{camera.name}", camera, 0.2 * float(np.linalg.norm(camera.centre)))
         for frame, (images, rod) in enumerate(zip(paths, vertices, strict=True)):
             stream.set_time("frame", sequence=frame)
             color, drawn = TRACKED_COLORS[how[frame]], rod[np.isfinite(rod).all(axis=1)]
-            stream.log("world/rods", rerun.LineStrips3D([drawn], colors=color, radii=rerun.Radius.ui_points(2.0)))
+            stream.log("world/rods", rerun.LineStrips3D([drawn], colors=color, radii=viewer.points(2.0)))
             if frame == 0 or how[frame] != how[frame - 1]:
                 stream.log("log", rerun.TextLog(f"frame {frame}: {TRACKED_WORDS[how[frame]]}"))
             for camera, image, off in zip(rig.cameras, images, error[frame], strict=True):
                 seen = rerun.Image(read_image(image, camera), color_model="L").compress(jpeg_quality=JPEG_QUALITY)
                 stream.log(f"images/{camera.name}", seen)
                 stream.log(f"images/{camera.name}/rods", rerun.LineStrips2D([_drawn(camera.project(drawn))], colors=color,
-                                                                   radii=rerun.Radius.ui_points(1.4)))
+                                                                   radii=viewer.points(1.4)))
                 stream.log(f"curves/error/{camera.name}", rerun.Scalars(off))
 
 
@@ -190,14 +186,13 @@ def record_servo(path, *, run_id: str, name: str, rig: Rig, moments: list[SeenMo
     target    (V, 3) mm, NaN where nothing is asked
     distance  (T, 2) mm to the target after each step, true and as estimated
     words     T, the status after each step
-    up        direction against gravity
     """
     asked = target[np.isfinite(target).all(axis=1)]
     layout = _video_layout(rig, "step", "Rods: blue tracked, purple the model, yellow the target", "distance",
                            "Distance to the target [mm]", "Statuses")
     with viewer.recording(path, run_id, name, layout) as stream:
-        viewer.log_up(stream, "world", np.asarray(up, float))
-        stream.log("world/target", rerun.LineStrips3D([asked], colors=TARGET, radii=rerun.Radius.ui_points(1.2)), static=True)
+        viewer.log_up(stream, "world", up)
+        stream.log("world/target", rerun.LineStrips3D([asked], colors=TARGET, radii=viewer.points(1.2)), static=True)
         for camera in rig.cameras:
             _log_frustum(stream, f"world/cameras/{camera.name}", camera, FRUSTUM_MM)
         for step, (moment, own) in enumerate(zip(moments, model, strict=True)):
@@ -205,12 +200,12 @@ def record_servo(path, *, run_id: str, name: str, rig: Rig, moments: list[SeenMo
             how, rod = moment.frame.how, moment.frame.vertices[np.isfinite(moment.frame.vertices).all(axis=1)]
             for entity, curve, color in (("rods", rod, TRACKED_COLORS[how]), ("truth", moment.rod, _rgb(TRUTH)),
                                          ("model", own, MODEL)):
-                stream.log(f"world/{entity}", rerun.LineStrips3D([curve], colors=color, radii=rerun.Radius.ui_points(1.6)))
+                stream.log(f"world/{entity}", rerun.LineStrips3D([curve], colors=color, radii=viewer.points(1.6)))
             for camera, image in zip(rig.cameras, moment.images, strict=True):
                 stream.log(f"images/{camera.name}", rerun.Image(image, color_model="L").compress(jpeg_quality=JPEG_QUALITY))
                 for entity, curve, color in (("rods", rod, TRACKED_COLORS[how]), ("target", asked, TARGET)):
                     stream.log(f"images/{camera.name}/{entity}", rerun.LineStrips2D(
-                        [_drawn(camera.project(curve))], colors=color, radii=rerun.Radius.ui_points(1.2)))
+                        [_drawn(camera.project(curve))], colors=color, radii=viewer.points(1.2)))
             for kind, value in zip(("true", "estimated"), distance[step], strict=True):
                 stream.log(f"curves/distance/{kind}", rerun.Scalars(value))
             if step == 0 or words[step] != words[step - 1]:

@@ -35,11 +35,17 @@ def record_motion(path, *, run_id: str, name: str, rods: MovingRods, curves: dic
     with viewer.recording(path, run_id, name, _motion_layout(rods, list(curves))) as stream:
         viewer.log_up(stream, "world", rods.basis[2])
         stream.log("world/rods", rerun.LineStrips3D.from_fields(
-            radii=rerun.Radius.ui_points(2.0), labels=rods.names, show_labels=count <= MOST_CURVES), static=True)
-        _log_held(stream, rods, when)
-        if rods.touched is not None:
-            _log_obstacles(stream, when, rods.touched, np.zeros((1, 3)))
-            _log_forces(stream, when, rods.touched, np.zeros((count, 3)))
+            radii=viewer.points(2.0), labels=rods.names, show_labels=count <= MOST_CURVES), static=True)
+        if rods.grippers is not None:
+            moments, _, _, *line = rods.grippers.shape
+            stream.log("world/grippers", rerun.LineStrips3D.from_fields(
+                colors=[GRIPPER], radii=viewer.points(3.5)), static=True)
+            viewer.send_rods(stream, "world/grippers", when, rods.grippers.reshape(moments, -1, *line))
+        if rods.marks is not None:
+            present = rods.marks[np.isfinite(rods.marks).all(axis=-1)].astype(np.float32)
+            marks = rerun.Points3D(present, colors=viewer.OBSERVED, radii=viewer.points(1.4))
+            stream.log("world/observations/marks", marks, static=True)
+        _log_contact(stream, when, rods.touched, np.zeros((count, 3)))
         own = distinct_colors(count)
         colors = np.where(rods.sound[..., None], own, np.uint8(viewer.FAILED)).astype(np.uint8)
         viewer.send_rods(stream, "world/rods", when, rods.vertices, colors=colors)
@@ -59,19 +65,6 @@ def _log_curves(stream, entity: str, when: list[rerun.TimeColumn], values: np.nd
     stream.log(entity, rerun.SeriesLines(names=names, widths=[width] * count, colors=colors), static=True)
     stream.send_columns(entity, when, rerun.Scalars.columns(
         scalars=np.ascontiguousarray(values).ravel()).partition([count] * moments))
-
-
-def _log_held(stream, rods: MovingRods, when: list[rerun.TimeColumn]) -> None:
-    """The grippers over time, and the marks, where they are known."""
-    if rods.grippers is not None:
-        moments, _, _, *line = rods.grippers.shape
-        stream.log("world/grippers", rerun.LineStrips3D.from_fields(
-            colors=[GRIPPER], radii=rerun.Radius.ui_points(3.5)), static=True)
-        viewer.send_rods(stream, "world/grippers", when, rods.grippers.reshape(moments, -1, *line))
-    if rods.marks is not None:
-        present = rods.marks[np.isfinite(rods.marks).all(axis=-1)].astype(np.float32)
-        stream.log("world/observations/marks", rerun.Points3D(
-            present, colors=viewer.OBSERVED, radii=rerun.Radius.ui_points(1.4)), static=True)
 
 
 def _motion_layout(rods: MovingRods, titles: list[str]) -> blueprint.Blueprint:
@@ -121,7 +114,7 @@ def record_ribbons(path, *, run_id: str, name: str, ribbons: list[Ribbons], obse
                     vertex_normals=np.stack([normal, normal], axis=1).astype(np.float32).reshape(-1, 3),
                     vertex_colors=np.tile(np.uint8(kind.color), (sides[..., 0].size, 1))).partition([2 * marks] * count))
             stream.log(f"{place}/borders", rerun.LineStrips3D.from_fields(
-                colors=[np.uint8(kind.color) // (2 if kind.filled else 1)], radii=rerun.Radius.ui_points(0.9),
+                colors=[np.uint8(kind.color) // (2 if kind.filled else 1)], radii=viewer.points(0.9),
                 labels=[kind.label] * 2, show_labels=False), static=True)
             viewer.send_rods(stream, f"{place}/borders", times, kind.sides)
         stream.send_columns("summary", times, rerun.TextDocument.columns(text=texts, media_type=["text/markdown"] * count))
@@ -172,13 +165,11 @@ def record_rollout(path: Path, name: str, names: list[str], positions: np.ndarra
                 continue
             # A rod that may touch something is as thick as it is.
             thick = touched is not None and shown is rods
-            radius = float(np.min(touched.surroundings.radius)) if thick else rerun.Radius.ui_points(width)
+            radius = float(np.min(touched.surroundings.radius)) if thick else viewer.points(width)
             stream.log(f"world/{entity}", rerun.LineStrips3D.from_fields(
                 colors=color, radii=radius, labels=names[:MOST_RODS], show_labels=count <= 12), static=True)
             viewer.send_rods(stream, f"world/{entity}", when, (shown + grid.offset[:, None, None]).swapaxes(0, 1))
-        if touched is not None:
-            _log_obstacles(stream, when, touched, grid.offset)
-            _log_forces(stream, when, touched, grid.offset)
+        _log_contact(stream, when, touched, grid.offset)
         if seen is not None:
             _log_curves(stream, "curves/error", when, np.abs(rods - seen).mean(axis=(2, 3)).T, names[:MOST_RODS],
                         distinct_colors(count), 1.0)
@@ -215,23 +206,23 @@ def record_group(path: Path, seen: GroupMotion) -> None:
             stream.log("world/ties", rerun.Points3D.from_fields(colors=TIE, radii=_thick(thickest, 1.3, 2.0)), static=True)
             stream.send_columns("world/ties", when, rerun.Points3D.columns(
                 positions=seen.vertices[:, seen.tied].reshape(-1, 3)).partition([len(seen.tied)] * frames))
-        _log_obstacles(stream, when, seen.touched, np.zeros((1, 3)))
-        _log_forces(stream, when, seen.touched, np.zeros((1, 3)))
+        _log_contact(stream, when, seen.touched, np.zeros((1, 3)))
 
 
 def _thick(radius: float | None, share: float, points: float):
     """So many times the radius, or so many points of the screen where there is none."""
-    return rerun.Radius.ui_points(points) if radius is None else share * radius
+    return viewer.points(points) if radius is None else share * radius
 
-
-# --- contact -------------------------------------------------------------------------------------------------------------
 
 OBSTACLE, FORCE = (130, 138, 150, 255), (110, 160, 255)
 
 
-def _log_obstacles(stream, when: list, touched: Touched, offset: np.ndarray) -> None:
-    """The obstacles around each rod, moved by the rod's ``offset`` (R, 3); those that move at the T times ``when``."""
-    for row, move in enumerate(offset):
+def _log_contact(stream, when: list, touched: Touched | None, offset: np.ndarray) -> None:
+    """The obstacles around each rod, once for rods in one place, and contact forces as arrows at the T times ``when``, moved by
+    the rods' ``offset`` (R, 3)."""
+    if touched is None:
+        return
+    for row, move in enumerate(offset if offset.any() else offset[:1]):
         for number, (given, _, vertices, triangles, normals) in enumerate(touched.meshes(row, 0)):
             own, corners = f"world/obstacles/{row}/{number}", vertices[triangles]
             across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
@@ -246,16 +237,12 @@ def _log_obstacles(stream, when: list, touched: Touched, offset: np.ndarray) -> 
                 vertex_positions=corners, vertex_normals=np.repeat(normals, 3, axis=0), albedo_factor=OBSTACLE,
                 # A table does not hide from below what lies on it.
                 face_rendering=rerun.components.MeshFaceRendering.Front), static=True)
-
-
-def _log_forces(stream, when: list, touched: Touched, offset: np.ndarray) -> None:
-    """Contact forces on the rods that have an ``offset`` (R, 3), as arrows at the T times ``when``."""
     places, vectors, counts = [], [], []
     for frame in range(touched.force.shape[1]):
         found = [touched.arrows(row, frame) for row in range(len(offset))]
         places += [origin + move for (origin, _), move in zip(found, offset, strict=True)]
         vectors += [vector for _, vector in found]
         counts.append(sum(len(origin) for origin, _ in found))
-    stream.log("world/forces", rerun.Arrows3D.from_fields(colors=FORCE, radii=rerun.Radius.ui_points(0.8)), static=True)
+    stream.log("world/forces", rerun.Arrows3D.from_fields(colors=FORCE, radii=viewer.points(0.8)), static=True)
     stream.send_columns("world/forces", when, rerun.Arrows3D.columns(
         origins=np.concatenate(places), vectors=np.concatenate(vectors)).partition(counts))

@@ -17,7 +17,7 @@ import rerun.blueprint as blueprint
 from doo_ti.record import viewer
 from doo_ti.report import canvas
 from doo_ti.report.canvas import GridView, Observed, grid_view
-from doo_ti.report.landscapes import landscape_image
+from doo_ti.report.landscapes import draw_landscape
 from doo_ti.report.plane import LandscapePlane
 from doo_ti.rod.grid import UNITS, Interval
 from doo_ti.rod.types import Status
@@ -70,7 +70,8 @@ def record_sweep(path: str | os.PathLike[str], *, run_id: str, name: str, observ
         _log_rods(stream, grid, trajectory, observed.names, with_trials=plane is not None)
         _log_curves(stream, trajectory)
         if plane is not None:
-            stream.log("landscape/picture", rerun.Image(landscape_image(plane, title=name, region=region)), static=True)
+            picture = canvas.pixels(draw_landscape(plane, name, region))
+            stream.log("landscape/picture", rerun.Image(picture), static=True)
             log_surface(stream, plane)
             log_cells(stream, plane)
         text = _summary(name, intervals, observed.names, trajectory, properties)
@@ -83,7 +84,7 @@ def _log_rods(stream, grid: GridView, trajectory: SweepTrajectory, names: list[s
     colors = np.where((status == Status.CONVERGED)[:, None], canvas.distance_colors(distance), viewer.FAILED)
     labels = [f"{name}: {canvas.quantity(d, 'mm')}, {ENDINGS[s]}" for name, d, s in zip(names, distance, status, strict=True)]
     stream.log("world/rods", rerun.LineStrips3D.from_fields(
-        colors=colors.astype(np.uint8), radii=rerun.Radius.ui_points(1.7), labels=labels, show_labels=False),
+        colors=colors.astype(np.uint8), radii=viewer.points(1.7), labels=labels, show_labels=False),
         rerun.AnyValues(offset_mm=viewer.vectors(grid.offset)), static=True)
     for start in range(0, len(trajectory.vertices), BLOCK):
         rods = trajectory.vertices[start:start + BLOCK] + grid.offset[:, None]
@@ -131,7 +132,7 @@ def log_surface(stream, plane: LandscapePlane) -> None:
     if plane.minimum is not None:
         stream.log("landscape/surface/minimum", rerun.Points3D(
             [points[plane.minimum]], labels=[canvas.quantity(plane.values[plane.minimum], "mm")], show_labels=True,
-            colors=MINIMUM, radii=rerun.Radius.ui_points(6)), static=True)
+            colors=MINIMUM, radii=viewer.points(6)), static=True)
 
 
 def _log_surface_axes(stream, plane: LandscapePlane) -> None:
@@ -145,10 +146,9 @@ def _log_surface_axes(stream, plane: LandscapePlane) -> None:
     if np.isfinite(plane.values).any():
         texts += ["0 mm", "mean distance " + canvas.quantity(np.nanmax(plane.values), "mm")]
         places += [(-0.08, -0.04, 0), (0, 0, plane.HEIGHT + 0.05)]
-    stream.log("landscape/surface/axes", rerun.LineStrips3D(
-        strips, colors=viewer.TEXT, radii=rerun.Radius.ui_points(0.7)), static=True)
+    stream.log("landscape/surface/axes", rerun.LineStrips3D(strips, colors=viewer.TEXT, radii=viewer.points(0.7)), static=True)
     stream.log("landscape/surface/axes/labels", rerun.Points3D(
-        places, labels=texts, show_labels=True, colors=viewer.TEXT, radii=rerun.Radius.ui_points(0)), static=True)
+        places, labels=texts, show_labels=True, colors=viewer.TEXT, radii=viewer.points(0)), static=True)
 
 
 def log_cells(stream, plane: LandscapePlane) -> None:
@@ -166,7 +166,7 @@ def log_cells(stream, plane: LandscapePlane) -> None:
     x, y = plane.unit_axes
     first, second = plane.places(np.unravel_index(trial, shape))
     points = np.stack([x[first], y[second], plane.height(values[trial])], axis=-1)
-    stream.log("landscape/cells", rerun.Points3D.from_fields(radii=rerun.Radius.ui_points(2.5)), static=True)
+    stream.log("landscape/cells", rerun.Points3D.from_fields(radii=viewer.points(2.5)), static=True)
     stream.send_columns("landscape/cells", [rerun.TimeColumn("trial", sequence=trial)], rerun.Points3D.columns(
         positions=points.astype(np.float32), colors=canvas.landscape_colors(values[trial], plane.values),
         labels=[canvas.quantity(value, "mm") for value in values[trial]], show_labels=np.zeros(len(trial), bool)))
@@ -291,11 +291,11 @@ def _log_run(stream, run: CellsOfRun, grid: GridView, times: list[rerun.TimeColu
     world, names = f"world/{run.entity}", run.observed.names
     viewer.log_observations(stream, world, grid, run.observed)
     stream.log(f"{world}/rods", rerun.LineStrips3D.from_fields(
-        radii=rerun.Radius.ui_points(1.7), labels=[names[d] for d in run.observation], show_labels=False),
+        radii=viewer.points(1.7), labels=[names[d] for d in run.observation], show_labels=False),
         rerun.AnyValues(offset_mm=viewer.vectors(grid.offset[run.observation])), static=True)
     stream.log(f"landscape/{run.entity}", rerun.Image(run.picture).compress(), static=True)
     stream.log(f"landscape/{run.entity}/cell", rerun.Boxes2D.from_fields(
-        colors=[viewer.FAILED], radii=rerun.Radius.ui_points(1.5), draw_order=10.0), static=True)
+        colors=[viewer.FAILED], radii=viewer.points(1.5), draw_order=10.0), static=True)
     steps, count, _ = run.boxes.shape
     half = 0.5 * run.boxes[..., 2:]
     stream.send_columns(f"landscape/{run.entity}/cell", times, rerun.Boxes2D.columns(

@@ -37,6 +37,7 @@ DESCRIPTORS = Path("/proc/self/fd")  # where Linux lists the open files of a pro
 PIECE_BYTES = 1 << 16
 OBSERVED, FAILED, TEXT = (235, 235, 235), (255, 46, 99), (175, 175, 175)
 BACKGROUND = (16, 18, 22)
+points = rerun.Radius.ui_points  # widths on the screen, however near
 
 
 @contextmanager
@@ -60,9 +61,7 @@ def recording(path, run_id: str, name: str, layout: blueprint.Blueprint) -> Iter
 @contextmanager
 def _written(file: BinaryIO, path: Path) -> Iterator[str]:
     """The path rerun writes to instead of ``file``: a pipe, since on a full disk rerun reports no error and waits for ever.
-
-    Raises OSError, naming ``path``, where the content of the pipe cannot be written.
-    """
+    Raises OSError, naming ``path``, where the content of the pipe cannot be written."""
     if not DESCRIPTORS.is_dir():
         yield file.name
         return
@@ -117,14 +116,13 @@ def log_observations(stream, world: str, grid: GridView, observed: Observed) -> 
     log_up(stream, world, grid.basis[2])
     strips = [rod[mask] for rod, mask in zip(placed, present, strict=True)]
     stream.log(f"{world}/observations", rerun.LineStrips3D(
-        strips, colors=OBSERVED, radii=rerun.Radius.ui_points(0.5), labels=observed.names, show_labels=False),
+        strips, colors=OBSERVED, radii=points(0.5), labels=observed.names, show_labels=False),
         rerun.AnyValues(offset_mm=vectors(grid.offset)), static=True)
-    stream.log(f"{world}/observations/marks", rerun.Points3D(
-        placed[present], colors=OBSERVED, radii=rerun.Radius.ui_points(1.0)), static=True)
+    stream.log(f"{world}/observations/marks", rerun.Points3D(placed[present], colors=OBSERVED, radii=points(1.0)), static=True)
     if grid.headings:
         texts, places = zip(*grid.headings, strict=True)
         stream.log(f"{world}/headings", rerun.Points3D(
-            places, labels=texts, show_labels=True, colors=TEXT, radii=rerun.Radius.ui_points(0)), static=True)
+            places, labels=texts, show_labels=True, colors=TEXT, radii=points(0)), static=True)
 
 
 def drawn_strips(rods: np.ndarray):
@@ -185,9 +183,7 @@ option stops: its requests go to a proxy, and there is none."""
 
 def open_viewer(path) -> None:
     """Open a run's recording (the run's folder or the .rrd file) in the rerun viewer, and wait until its window is closed.
-
-    Raises InputError where there is no recording, InterruptedRunError where the viewer fails, as without a window.
-    """
+    Raises InputError where there is no recording, InterruptedRunError where the viewer fails, as without a window."""
     with TemporaryFile() as log:
         with running_viewer(path, "--port", "auto", log=log) as viewer:
             if not viewer.wait():
@@ -299,10 +295,8 @@ def local_page(web: int, data: int) -> Iterator[int]:
 
 
 def save_screenshot(path: str | Path, picture: str | Path) -> None:
-    """Write what the viewer shows of a run (its folder or the .rrd file) as a PNG; the software driver of Mesa suffices.
-
-    Raises InputError where there is no recording, InterruptedRunError where the viewer does not start.
-    """
+    """Write what the viewer shows of a run (its folder or the .rrd file) as a PNG; the software driver of Mesa suffices. Raises
+    InputError where there is no recording, InterruptedRunError where the viewer does not start."""
     port = free_port()
     with running_viewer(path, "--headless", "--port", str(port), "--window-size", "1600x900") as viewer:
         client = _connect(viewer, port)

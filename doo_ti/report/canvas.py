@@ -73,15 +73,18 @@ def literal(text: str) -> str:
 
 
 def limits_around(points: np.ndarray, half: float, least: float) -> np.ndarray:
-    """(2, 2) limits to the right and up around (..., 2) points: from their middle to either side ``half`` of their extent, and
-    at least the share ``least`` of the larger extent; around the origin where no point is finite."""
-    low, high = box(points.reshape(-1, 2))
+    """(k, 2) limits around (..., k) points: from their middle to either side ``half`` of their extent, and at least the share
+    ``least`` of the largest extent; around the origin where no point is finite."""
+    low, high = box(points.reshape(-1, points.shape[-1]))
     middle, reach = 0.5 * (low + high), np.maximum(half * (high - low), least * widest(low, high))
     return np.stack([middle - reach, middle + reach], axis=-1)
 
 
-def save_figure(figure, path_or_buffer) -> None:
-    """Write a figure as a PNG, its titles as large as fit; a file appears when it is complete."""
+def save_figure(figure, path_or_buffer, title: str = "", size: float = 10) -> None:
+    """Write a figure, under a ``title`` in letters of that ``size``, as a PNG, its titles as large as fit; a file appears when
+    it is complete."""
+    if title:
+        figure.suptitle(literal(title), fontsize=size)
     fit_titles(figure)
     if isinstance(path_or_buffer, (str, os.PathLike)):
         write_whole(Path(path_or_buffer), figure.canvas.print_png)
@@ -138,7 +141,7 @@ def quantity(value: float, unit: str = "") -> str:
 def axis_label(axis) -> str:
     """Name, symbol and unit of a grid axis: ``bend α [mm³]``."""
     name, _, _, unit = axis
-    return SYMBOLS.get(name, name) + (f" [{unit}]" if unit else "")
+    return SYMBOLS.get(name, name) + f" [{unit}]" * bool(unit)
 
 
 def values_text(values) -> str:
@@ -231,10 +234,11 @@ class Observed:
     @property
     def names(self) -> list[str]:
         """``observation 13: 42 mm 60°`` for each of the D observations."""
-        values = [[_quantity(label, value) for value in column] for label, column in self.labels.items()]
         numbers = range(len(self.vertices)) if self.numbers is None else self.numbers
-        return [" ".join([f"observation {d}:", *parts]) if parts else f"observation {d}"
-                for d, parts in zip(numbers, zip(*values, strict=True) if values else [()] * len(self.vertices), strict=True)]
+        names = [f"observation {number}" + ":" * bool(self.labels) for number in numbers]
+        for label, values in self.labels.items():
+            names = [f"{name} {_quantity(label, value)}" for name, value in zip(names, values, strict=True)]
+        return names
 
 
 @dataclass(frozen=True)

@@ -73,16 +73,16 @@ class Touched:
         return float(power * max(step for step in (1.0, 2.0, 5.0) if step * power <= wanted * (1 + 1e-9)))
 
     @property
+    def _unit(self) -> str:
+        """Of forces, as they are shown."""
+        return "mm²/mm" if self.newtons is None else "N"
+
+    @property
     def legend(self) -> str:
         """The line that says how large the arrows of contact forces are."""
         if not np.nan_to_num(self.force).any():
             return "no contact forces"
         return f"contact forces (an arrow of 10 mm: {10 / self.arrow_scale:g} {self._unit})"
-
-    @property
-    def _unit(self) -> str:
-        """Of forces, as they are shown."""
-        return "mm²/mm" if self.newtons is None else "N"
 
     @property
     def legend_at_end(self) -> str:
@@ -222,19 +222,17 @@ def save_group(path: Path, seen: GroupMotion) -> None:
     plots[0].legend(fontsize=8, frameon=False, loc="best")
     if moments > 1:
         _draw_forces(plots[-1], seen)
-    status = "" if seen.sound[-1] else ", not converged"
-    ties = "; circles: ties" if len(seen.tied) else ""
+    status, ties = ", not converged" * (not seen.sound[-1]), "; circles: ties" * bool(len(seen.tied))
     when = "" if moments == 1 else f" after {(moments - 1) / seen.rate:.3g} s, earlier moments faint"
-    figure.suptitle(f"{literal(seen.name)}{when}{status}\nblue: {seen.touched.legend}{ties}", fontsize=10)
-    save_figure(figure, path)
+    save_figure(figure, path, f"{seen.name}{when}{status}\nblue: {seen.touched.legend}{ties}")
 
 
 def _draw_rods(plot, rods: list[np.ndarray], colors: np.ndarray, view: np.ndarray, radii: np.ndarray) -> None:
     """The edges of rods as bands of their thickness, those in front over those behind."""
     from matplotlib.collections import PolyCollection
 
-    bands, depth, shades = [], [], []
-    for rod, color, radius in zip(rods, colors, radii, strict=True):
+    bands, depth = [], []
+    for rod, radius in zip(rods, radii, strict=True):
         local = rod @ view.T
         flat = local[:, [0, 2]]
         along = np.diff(flat, axis=0)
@@ -242,9 +240,8 @@ def _draw_rods(plot, rods: list[np.ndarray], colors: np.ndarray, view: np.ndarra
         side = radius * np.stack([-along[:, 1], along[:, 0]], axis=-1)
         bands.append(np.stack([flat[:-1] + side, flat[1:] + side, flat[1:] - side, flat[:-1] - side], axis=1))
         depth.append(local[:-1, 1] + local[1:, 1])
-        shades.append(np.repeat(color[None], len(along), axis=0))
     order = np.argsort(-np.concatenate(depth), kind="stable")
-    shade = np.concatenate(shades)[order]
+    shade = np.repeat(colors, [len(band) for band in bands], axis=0)[order]
     plot.add_collection(PolyCollection(np.concatenate(bands)[order], facecolors=shade, edgecolors=shade, linewidths=1.0,
                                        zorder=ABOVE_ARROWS), autolim=False)
 

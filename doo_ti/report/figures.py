@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from doo_ti.report.canvas import MISSING, SYMBOLS, box, label_table, literal, new_figure, save_figure, upright_basis, widest
+from doo_ti.report import canvas
 from doo_ti.vision.cameras import Rig
 
 BEST, RUNNER_UP, TRUTH, DETECTED = "#2f7bff", "#ff2e4d", "#ffd400", "#00c08b"
@@ -59,25 +59,23 @@ def reprojections_picture(path_or_buffer, rig: Rig, sets: list[SeenRod], *, up, 
     from matplotlib.lines import Line2D
 
     columns = len(rig.cameras) + 1
-    figure = new_figure((PANEL_INCHES * columns, 0.82 * PANEL_INCHES * len(sets) + 0.9), dpi=130)
+    figure = canvas.new_figure((PANEL_INCHES * columns, 0.82 * PANEL_INCHES * len(sets) + 0.9), dpi=130)
     grid = figure.add_gridspec(len(sets), columns)
     for row, seen in enumerate(sets):
         for column, camera in enumerate(rig.cameras):
             axes = figure.add_subplot(grid[row, column])
             _draw_image(axes, camera, seen, column)
+            axes.set_xlabel("u [px]" if row == len(sets) - 1 else "", fontsize=7)
             if column == 0:
-                axes.set_title(f"{literal(seen.name)}: {seen.verdict}", fontsize=9, loc="left")
+                axes.set_title(f"{canvas.literal(seen.name)}: {seen.verdict}", fontsize=9, loc="left")
                 axes.set_ylabel("v [px]", fontsize=7)
-            if row == len(sets) - 1:
-                axes.set_xlabel("u [px]", fontsize=7)
         _draw_space(figure.add_subplot(grid[row, -1], projection="3d"), seen, np.asarray(up, float))
     keys = [Line2D([], [], color=color, linewidth=2, label=name) for name, color in
             (("detected", DETECTED), ("best", BEST), ("runner-up", RUNNER_UP), ("truth", TRUTH))
             if name in ("detected", "best") or any(name == drawn for seen in sets for drawn, _, _ in seen.rods)]
     more = f"; {left_out} more sets are not drawn" if left_out else ""
     figure.legend(handles=keys, loc="outside lower center", ncols=len(keys), frameon=False, fontsize=10)
-    figure.suptitle(f"Rods recovered from images (Alg. 1){more}", fontsize=12)
-    save_figure(figure, path_or_buffer)
+    canvas.save_figure(figure, path_or_buffer, f"Rods recovered from images (Alg. 1){more}", 12)
 
 
 def _draw_image(axes, camera, seen: SeenRod, column: int) -> None:
@@ -89,10 +87,10 @@ def _draw_image(axes, camera, seen: SeenRod, column: int) -> None:
     for pixels, color in projected:
         axes.plot(*pixels.T, color=color, linewidth=WIDTHS[color], zorder=1 if color == TRUTH else 3)
     axes.plot(*detected.T, ".", color=DETECTED, markersize=2.6, markeredgewidth=0, zorder=2)
-    axes.annotate(literal(camera.name), (0.02, 0.03), xycoords="axes fraction", fontsize=8, color="white")
+    axes.annotate(canvas.literal(camera.name), (0.02, 0.03), xycoords="axes fraction", fontsize=8, color="white")
     around = np.concatenate([detected] + [pixels for pixels, _ in projected])
     corner = np.array([width - 0.5, height - 0.5])
-    low, high = box(np.clip(around, -0.5, corner))
+    low, high = canvas.box(np.clip(around, -0.5, corner))
     low, high = np.maximum(low - MARGIN_PX, -0.5), np.minimum(high + MARGIN_PX, corner)
     axes.set(xlim=(low[0], high[0]), ylim=(high[1], low[1]))
     axes.tick_params(labelsize=6, length=2, pad=1)
@@ -101,17 +99,14 @@ def _draw_image(axes, camera, seen: SeenRod, column: int) -> None:
 
 def _draw_space(axes, seen: SeenRod, up: np.ndarray) -> None:
     """All rods in space, gravity downwards, seen from the side of the plane in which the best one mostly lies."""
-    frame = upright_basis(seen.best[None], up)
+    frame = canvas.upright_basis(seen.best[None], up)
     points = np.concatenate([curve for _, curve, _ in seen.rods]) @ frame.T
     for _, curve, color in seen.rods:
         axes.plot(*(curve @ frame.T).T, color=color, linewidth=WIDTHS[color])
     axes.scatter(*(seen.best[0] @ frame.T), color="#202020", s=10)
-    low, high = box(points)
-    half = 0.5 * np.maximum(high - low, 0.2 * widest(low, high)) * 1.05
-    middle = 0.5 * (low + high)
-    axes.set(xlim=(middle[0] - half[0], middle[0] + half[0]), ylim=(middle[1] - half[1], middle[1] + half[1]),
-             zlim=(middle[2] - half[2], middle[2] + half[2]))
-    axes.set_box_aspect(half, zoom=0.85)
+    limits = canvas.limits_around(points, 0.525, 0.105)
+    axes.set(xlim=limits[0], ylim=limits[1], zlim=limits[2])
+    axes.set_box_aspect(np.ptp(limits, axis=1), zoom=0.85)
     axes.view_init(elev=18, azim=-65)
     for axis, label in ((axes.xaxis, "horizontal [mm]"), (axes.yaxis, "depth [mm]"), (axes.zaxis, "height [mm]")):
         axis.set_label_text(label, fontsize=7)
@@ -155,7 +150,7 @@ def ribbons_picture(path_or_buffer, ribbons: list[Ribbons], which: int, *, basis
     views = [_turned(*angles) @ basis for angles in VIEWS.values()]
     middles, sizes = _frames(np.stack([kind.sides[which] for kind in ribbons]), views)
     heights = COLUMN_INCHES * sizes[:, 1] / sizes[0, 0]
-    figure = new_figure((COLUMN_INCHES * len(filled), heights.sum() + 1.4))
+    figure = canvas.new_figure((COLUMN_INCHES * len(filled), heights.sum() + 1.4))
     grid = figure.subplots(len(VIEWS), len(filled), squeeze=False, height_ratios=heights)
     for places, name, view, middle, size in zip(grid, VIEWS, views, middles, sizes, strict=True):
         for axes, kind in zip(places, filled, strict=True):
@@ -172,14 +167,13 @@ def ribbons_picture(path_or_buffer, ribbons: list[Ribbons], which: int, *, basis
         first.plot([left, left + 20], [low, low], color="#202020", linewidth=2)
         first.annotate("20 mm", (left + 10, low), xytext=(0, 4), textcoords="offset points", ha="center", va="bottom",
                        fontsize=9)
-        first.annotate(literal(name), (0.0, 1.0), xycoords="axes fraction", ha="left", va="top", fontsize=10, color="#606060")
+        first.annotate(name, (0.0, 1.0), xycoords="axes fraction", ha="left", va="top", fontsize=10, color="#606060")
     for axes, kind in zip(grid[0], filled, strict=True):
-        axes.set_title(literal(kind.label), fontsize=9.5, color=np.array(kind.color) / 255)
-    figure.suptitle(literal(title), fontsize=13)
+        axes.set_title(canvas.literal(kind.label), fontsize=9.5, color=np.array(kind.color) / 255)
     if outlined:
-        keys = [Line2D([], [], color=np.array(kind.color) / 255, label=literal(kind.label)) for kind in outlined]
+        keys = [Line2D([], [], color=np.array(kind.color) / 255, label=canvas.literal(kind.label)) for kind in outlined]
         figure.legend(handles=keys, loc="outside lower center", ncols=len(keys), frameon=False, fontsize=10)
-    save_figure(figure, path_or_buffer)
+    canvas.save_figure(figure, path_or_buffer, title, 13)
 
 
 def _draw_band(axes, sides: np.ndarray, color: tuple[int, int, int]) -> None:
@@ -199,7 +193,7 @@ def _draw_band(axes, sides: np.ndarray, color: tuple[int, int, int]) -> None:
 def _frames(points: np.ndarray, views: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
     """Middle, and width and height in mm, of (..., 3) points in each view; all views are equally wide, at least a third of
     their heights."""
-    low, high = box(np.stack([(points @ view.T)[..., [0, 2]].reshape(-1, 2) for view in views]))
+    low, high = canvas.box(np.stack([(points @ view.T)[..., [0, 2]].reshape(-1, 2) for view in views]))
     sizes = high - low + [8.0, 10.0]
     sizes[:, 0] = max(sizes[:, 0].max(), sizes[:, 1].max() / 3)
     return 0.5 * (low + high), sizes
@@ -230,19 +224,19 @@ def identifiability_picture(path_or_buffer, parameters, strength, rank, end_dist
     from matplotlib.colors import LogNorm
 
     number = np.arange(len(strength))
-    labelled = None if end_distance is None or end_rotation is None else label_table(end_distance, end_rotation)
+    labelled = None if end_distance is None or end_rotation is None else canvas.label_table(end_distance, end_rotation)
     columns, column, rows, row = labelled or (number, number, np.zeros(1), 0 * number)
     finite = strength[np.isfinite(strength) & (strength > 0)]
     low, high = (finite.min(), finite.max()) if finite.size else (1e-3, 1.0)
     # Of a parameter without any effect only rounding errors are left: the scale does not extend to these.
     norm = LogNorm(max(low, 1e-4 * high), high)
     middle = {"ha": "center", "va": "center"}
-    figure = new_figure((4.6 * len(parameters) + 1.0, 1.2 + 0.45 * max(len(rows), 6)))
+    figure = canvas.new_figure((4.6 * len(parameters) + 1.0, 1.2 + 0.45 * max(len(rows), 6)))
     panels = figure.subplots(1, len(parameters), sharey=True, squeeze=False)[0]
     for panel, name, values in zip(panels, parameters, np.asarray(strength).T, strict=True):
         table = np.full((len(rows), len(columns)), np.nan)
         table[row, column] = np.maximum(values, norm.vmin)
-        panel.set_facecolor(MISSING)
+        panel.set_facecolor(canvas.MISSING)
         mesh = panel.pcolormesh(np.ma.masked_invalid(table), cmap="viridis", norm=norm, edgecolor="white", linewidth=0.5)
         for place in range(len(values)):
             x, y = column[place] + 0.5, row[place] + 0.5
@@ -252,15 +246,14 @@ def identifiability_picture(path_or_buffer, parameters, strength, rank, end_dist
             if rank[place]:
                 panel.plot(x - 0.33, y + 0.26, "o", markersize=11, color=RANK, markeredgecolor="white")
                 panel.text(x - 0.33, y + 0.25, str(rank[place]), color="white", fontsize=7, fontweight="bold", **middle)
-        panel.set_title(SYMBOLS.get(name, name), fontsize=13)
+        panel.set_title(canvas.SYMBOLS.get(name, name), fontsize=13)
         panel.set_xticks(np.arange(len(columns)) + 0.5, [f"{value:g}" for value in columns])
         panel.set_yticks(np.arange(len(rows)) + 0.5, [f"{value:g}" for value in rows])
         panel.set_xlabel("end distance [mm]" if end_distance is not None else "configuration", fontsize=11)
     panels[0].set_ylabel("end rotation [°]" if end_rotation is not None else "", fontsize=11)
     figure.colorbar(mesh, ax=list(panels), pad=0.01, aspect=30).set_label("shift of a mark per factor e [mm]", fontsize=11)
-    figure.suptitle("Effect of each parameter in each configuration (median over the grid); red: the order in which to measure",
-                    fontsize=13)
-    save_figure(figure, path_or_buffer)
+    canvas.save_figure(figure, path_or_buffer, "Effect of each parameter in each configuration (median over the grid); red: "
+                       "the order in which to measure", 13)
 
 
 def angle_curves_picture(path_or_buffer, angles: np.ndarray, objective: np.ndarray, *, phi, low, high, names: list[str],
@@ -275,7 +268,7 @@ def angle_curves_picture(path_or_buffer, angles: np.ndarray, objective: np.ndarr
     shown = min(len(objective), MOST_CURVES)
     columns = min(4, shown)
     rows = -(-shown // columns)
-    figure = new_figure((3.0 * columns + 0.6, 2.2 * rows + 0.8))
+    figure = canvas.new_figure((3.0 * columns + 0.6, 2.2 * rows + 0.8))
     panels = figure.subplots(rows, columns, sharex=True, squeeze=False).ravel()
     for k, axes in enumerate(panels):
         if k >= shown:
@@ -291,10 +284,9 @@ def angle_curves_picture(path_or_buffer, angles: np.ndarray, objective: np.ndarr
         axes.set_ylim(bottom=0)
         axes.set(xticks=np.arange(-360, 361, 180), xlim=(angles[0], angles[-1]))
         axes.tick_params(labelbottom=k + columns >= shown)  # the last row may be incomplete
-        axes.set_title(literal(names[k]), fontsize=9)
+        axes.set_title(canvas.literal(names[k]), fontsize=9)
         axes.grid(alpha=0.25)
     more = f"; {len(objective) - shown} more are not drawn" if len(objective) > shown else ""
     figure.supxlabel(f"φ [°]; red: the minimum, yellow: 95 % interval{more}", fontsize=10)
     figure.supylabel("Σ d [mm] (Eq. 4)", fontsize=10)
-    figure.suptitle(literal(title), fontsize=12)
-    save_figure(figure, path_or_buffer)
+    canvas.save_figure(figure, path_or_buffer, title, 12)

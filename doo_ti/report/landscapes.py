@@ -5,21 +5,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from doo_ti.report import canvas
-from doo_ti.report.plane import (
-    BORDER,
-    REGIMES,
-    REGION,
-    STAR,
-    VALLEY,
-    LandscapePlane,
-    cell_edges,
-    draw_line,
-    draw_map,
-    draw_marks,
-    edged,
-    label_minimum,
-    place_of,
-)
+from doo_ti.report import plane as drawing
+from doo_ti.report.plane import LandscapePlane
 
 
 @dataclass(frozen=True)
@@ -46,11 +33,6 @@ def landscape_picture(path_or_buffer, plane: LandscapePlane, *, title: str, regi
     canvas.save_figure(draw_landscape(plane, title, region, newton_per_bend), path_or_buffer)
 
 
-def landscape_image(plane: LandscapePlane, *, title: str, region: np.ndarray | None = None) -> np.ndarray:
-    """The same drawing as (1200, 1600, 3) uint8."""
-    return canvas.pixels(draw_landscape(plane, title, region))
-
-
 def landscapes_picture(path_or_buffer, rows: list[list[LandscapePanel]], *, title: str, marks: str = "",
                        relative: bool = False) -> None:
     """Write rows of panels as one PNG.
@@ -75,13 +57,10 @@ def cells_image(rows: list[list[LandscapePanel]], index: tuple, *, marks: str = 
 def _cell_boxes(axes, plane: LandscapePlane, cells: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
     """(N, 4) left, top, width and height in pixels of the cells a and b (N,), once the figure is laid out. Over one free
     axis a cell is as high as the axes."""
-    edges = [cell_edges(axis) for axis in plane.axes]
-    low = [edges[0][cells[0]], edges[1][cells[1]] if len(edges) > 1 else np.full(len(cells[0]), axes.get_ylim()[0])]
-    high = [edges[0][cells[0] + 1],
-            edges[1][cells[1] + 1] if len(edges) > 1 else np.full(len(cells[0]), axes.get_ylim()[1])]
-    low, high = (axes.transData.transform(np.stack(corner, axis=-1)) for corner in (low, high))
-    top = axes.figure.bbox.height - high[:, 1]
-    return np.stack([low[:, 0], top, *(high - low).T], axis=-1)
+    edges = [drawing.cell_edges(axis) for axis in plane.axes] + [np.array(axes.get_ylim())] * (len(plane.axes) == 1)
+    low, high = (axes.transData.transform(np.stack([edge[cell + beyond] for edge, cell in zip(edges, cells, strict=True)],
+                                                   axis=-1)) for beyond in (0, 1))
+    return np.stack([low[:, 0], axes.figure.bbox.height - high[:, 1], *(high - low).T], axis=-1)
 
 
 def draw_landscape(plane: LandscapePlane, title: str, region: np.ndarray | None = None, newton_per_bend: float | None = None):
@@ -94,10 +73,10 @@ def draw_landscape(plane: LandscapePlane, title: str, region: np.ndarray | None 
     region = region if len(plane.axes) == 2 else None
     if region is not None:
         # Closed, whether its last point is its first or not.
-        axes.add_patch(Polygon(region, closed=True, fill=False, edgecolor=REGION, linewidth=2.2, linestyle="--", zorder=4,
-                               path_effects=edged()))
+        axes.add_patch(Polygon(region, closed=True, fill=False, edgecolor=drawing.REGION, linewidth=2.2, linestyle="--",
+                               zorder=4, path_effects=drawing.edged()))
     if plane.minimum is not None:
-        label_minimum(axes, plane)
+        drawing.label_minimum(axes, plane)
     if newton_per_bend is not None and plane.axes[0][0] in ("bend", "bend_1"):
         above = axes.secondary_xaxis("top", functions=(lambda bend: bend * newton_per_bend, lambda EI: EI / newton_per_bend))
         canvas.plain_ticks(above.xaxis, plane.axes[0][2], *axes.get_xlim())
@@ -149,7 +128,7 @@ def _draw_panel(figure, axes, panel: LandscapePanel, norm, size: float):
     mesh = _draw(figure, axes, plane, norm, size)
     if plane.minimum is not None:
         lines = [f"{lines[0]}: {canvas.quantity(plane.values[plane.minimum], 'mm')}", f"at {canvas.values_text(plane.best)}"]
-    draw_marks(axes, plane, panel.marks, size)
+    drawing.draw_marks(axes, plane, panel.marks, size)
     axes.set_title("\n".join(lines + _remarks(plane)), fontsize=12 * size)
     return mesh
 
@@ -159,15 +138,15 @@ def _draw(figure, axes, plane: LandscapePlane, norm, size: float):
     coloured mesh, None for a line."""
     mesh = None
     if len(plane.axes) == 1:
-        draw_line(axes, plane, size)
+        drawing.draw_line(axes, plane, size)
     elif norm is None:
-        mesh = draw_map(axes, plane, canvas.norm_of(plane.values), size)
+        mesh = drawing.draw_map(axes, plane, canvas.norm_of(plane.values), size)
         _color_bar(figure, mesh, axes, size=size)
     else:
-        mesh = draw_map(axes, replace(plane, values=_multiples(plane)), norm, size)
+        mesh = drawing.draw_map(axes, replace(plane, values=_multiples(plane)), norm, size)
     if plane.minimum is not None:
-        axes.plot(*place_of(plane, plane.minimum), "*", markersize=17 * size, color=STAR, markeredgecolor="white",
-                  markeredgewidth=1.2 * size, zorder=5)
+        axes.plot(*drawing.place_of(plane, plane.minimum), "*", markersize=17 * size, color=drawing.STAR,
+                  markeredgecolor="white", markeredgewidth=1.2 * size, zorder=5)
     return mesh
 
 
@@ -188,20 +167,13 @@ def _color_bar(figure, mesh, axes, label: str = canvas.MEAN_DISTANCE, size: floa
 
 def _remarks(plane: LandscapePlane) -> list[str]:
     """Lines for the title: axes that are not shown, and a minimum at the border."""
-    lines = []
-    if plane.hidden:
-        lines.append(f"minimum over {', '.join(canvas.SYMBOLS.get(name, name) for name in plane.hidden)}")
-    if plane.at_border:
-        lines.append("minimum at the border of the grid: widen it")
-    return lines
+    hidden = ", ".join(canvas.SYMBOLS.get(name, name) for name in plane.hidden)
+    return [f"minimum over {hidden}"] * bool(hidden) + ["minimum at the border of the grid: widen it"] * plane.at_border
 
 
 def _put_legend(figure, planes: list[LandscapePlane], columns: int, marks: str | None = None,
                 with_region: bool = False) -> None:
-    """The legend below the axes, its entries in rows: matplotlib fills columns first.
-
-    marks  what the panels' marks are, empty where there are none; None: of one landscape, with its numbers
-    """
+    """The legend below the axes, its entries in rows: matplotlib fills columns first. ``marks`` as in :func:`_legend`."""
     keys = _legend(planes, marks, with_region) + _regime_keys(planes)
     if keys:
         rows = [key for column in range(columns) for key in keys[column::columns]]
@@ -210,7 +182,8 @@ def _put_legend(figure, planes: list[LandscapePlane], columns: int, marks: str |
 
 
 def _legend(planes: list[LandscapePlane], marks: str | None, with_region: bool) -> list:
-    """Entries for the minimum, the valley, marks, cells that do not compete or have no value, and the region."""
+    """Entries for the minimum, the valley, marks, cells that do not compete or have no value, and the region. ``marks`` says
+    what the panels' marks are, empty where there are none; None: of one landscape, with its numbers."""
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
@@ -220,9 +193,9 @@ def _legend(planes: list[LandscapePlane], marks: str | None, with_region: bool) 
         if marks is None:
             at = f" at {canvas.values_text(planes[0].best)}"
             cells = f": {planes[0].valley.sum()} of {planes[0].values.size} cells"
-        style = {"facecolor": VALLEY, "alpha": 0.35} if line else {
-            "facecolor": "none", "edgecolor": "white", "linewidth": 2.2, "path_effects": edged()}
-        keys += [_point(f"minimum{at}", marker="*", markersize=14, color=STAR, markeredgecolor="white"),
+        style = {"facecolor": drawing.VALLEY, "alpha": 0.35} if line else {
+            "facecolor": "none", "edgecolor": "white", "linewidth": 2.2, "path_effects": drawing.edged()}
+        keys += [_point(f"minimum{at}", marker="*", markersize=14, color=drawing.STAR, markeredgecolor="white"),
                  Patch(label=f"within 5 % of the minimum{cells}", **style)]
     if marks:
         keys.append(_point(marks, marker="o", markersize=8, markerfacecolor="white", markeredgecolor="#202020",
@@ -234,7 +207,7 @@ def _legend(planes: list[LandscapePlane], marks: str | None, with_region: bool) 
     if missing := sum((np.isnan(plane.values) & (plane.unfinished == 0)).sum() for plane in planes):
         keys.append(Patch(facecolor=canvas.MISSING, alpha=0.5 if line else 1, label=f"cells not evaluated: {missing}"))
     if with_region:
-        keys.append(Line2D([], [], color=REGION, linewidth=2.2, linestyle="--", path_effects=edged(),
+        keys.append(Line2D([], [], color=drawing.REGION, linewidth=2.2, linestyle="--", path_effects=drawing.edged(),
                            label="confidence region"))
     return keys
 
@@ -247,8 +220,9 @@ def _regime_keys(planes: list[LandscapePlane]) -> list:
     if not twists:
         return []
     label = f"B₁₁ = B₂₂, B₁₁ = β and B₂₂ = β, β = {', '.join(canvas.quantity(twist, 'mm³') for twist in twists)}"
-    return [Line2D([], [], color=BORDER, linewidth=1.4, linestyle=(0, (5, 3)), label=label),
-            *(_point(regime, marker=f"${number}$", markersize=9, color=BORDER) for number, regime in enumerate(REGIMES, 1))]
+    return [Line2D([], [], color=drawing.BORDER, linewidth=1.4, linestyle=(0, (5, 3)), label=label),
+            *(_point(regime, marker=f"${number}$", markersize=9, color=drawing.BORDER)
+              for number, regime in enumerate(drawing.REGIMES, 1))]
 
 
 def _point(label: str, **style):

@@ -11,18 +11,9 @@ import numpy as np
 
 from doo_ti.contact.obstacles import Obstacle
 from doo_ti.contact.surroundings import Moving
-from doo_ti.report.canvas import (
-    deviations,
-    direction,
-    facing,
-    fit_titles,
-    limits_around,
-    literal,
-    new_figure,
-    save_figure,
-    upright_basis,
-)
+from doo_ti.report import canvas
 from doo_ti.report.contact import FAINT, Touched
+from doo_ti.system.arguments import counted
 from doo_ti.system.files import write_whole
 
 MOST_RODS = 6  # in a picture, those of the largest, the median and the smallest errors
@@ -38,15 +29,15 @@ def _view(rods: np.ndarray, up: np.ndarray) -> tuple[np.ndarray, str]:
     """(2, 3) directions of a picture of (R, T, V, 3) rods, and from where that is."""
     places = rods.reshape(len(rods), -1, 3)
     places = places[np.isfinite(places).any(axis=(1, 2))] if np.isfinite(places).any() else np.zeros((1, 1, 3))
-    upward, view = facing(places, up)
-    return _turned(upright_basis(places, upward), rods)[[0, 2]], view
+    upward, view = canvas.facing(places, up)
+    return _turned(canvas.upright_basis(places, upward), rods)[[0, 2]], view
 
 
 def _turned(basis: np.ndarray, rods: np.ndarray) -> np.ndarray:
     """The ``basis`` (3, 3) of a view turned about its upward axis so that both the shapes of (R, T, V, 3) rods and their motion
     are seen."""
     flat = rods @ basis[:2].T
-    shape, motion = (np.einsum("rtvi,rtvj->ij", part, part) for part in (deviations(flat, axis) for axis in (2, 1)))
+    shape, motion = (np.einsum("rtvi,rtvj->ij", part, part) for part in (canvas.deviations(flat, axis) for axis in (2, 1)))
     if np.trace(motion) < LEAST_MOTION * np.trace(shape):
         return basis
     angle = np.linspace(0.0, np.pi, VIEWS, endpoint=False)
@@ -64,8 +55,7 @@ def chosen(positions: np.ndarray, recorded: np.ndarray | None, most: int) -> np.
     count = len(positions)
     if recorded is None:
         return np.arange(min(count, most))
-    error = np.abs(positions - recorded).mean(axis=(1, 2, 3))
-    order = np.argsort(np.where(np.isfinite(error), error, np.inf), kind="stable")
+    order = np.argsort(np.abs(positions - recorded).mean(axis=(1, 2, 3)), kind="stable")  # NaN comes last
     return order[np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(int))]
 
 
@@ -78,7 +68,7 @@ def save_rollout(path: Path, name: str, names: list[str], positions: np.ndarray,
     columns = min(3, len(rows))
     lines = -(-len(rows) // columns)
     plots = (recorded is not None) + (energies is not None)
-    figure = new_figure((max(5.0, 4.2 * columns), 3.4 * lines + max(0.4, 2.6 * plots)))
+    figure = canvas.new_figure((max(5.0, 4.2 * columns), 3.4 * lines + max(0.4, 2.6 * plots)))
     heights = [1.0] * lines + [0.75] * plots
     grid = figure.add_gridspec(len(heights), columns, height_ratios=heights)
     shown = positions[rows]
@@ -96,7 +86,7 @@ def save_rollout(path: Path, name: str, names: list[str], positions: np.ndarray,
         title = names[row]
         if recorded is not None:
             title = f"recording {title}: {np.abs(positions[row, 2:] - recorded[row, 2:]).mean():.1f} mm"
-        plot.set_title(literal(title), fontsize=9)
+        plot.set_title(canvas.literal(title), fontsize=9)
         if not k:
             plot.legend(fontsize=8, frameon=False)
     time = np.arange(positions.shape[1]) / rate
@@ -113,8 +103,7 @@ def save_rollout(path: Path, name: str, names: list[str], positions: np.ndarray,
         _draw_energies(figure.add_subplot(grid[-1, :]), time, first, names[rows[0]])
     last = (positions.shape[1] - 1) / rate
     title = f"{name}: {len(frames)} of {positions.shape[1]} frames from 0 to {last:.3g} s, seen {view}"
-    figure.suptitle(literal(title) + ("" if touched is None else f"\n{touched.legend_at_end}"), fontsize=8)
-    save_figure(figure, path)
+    canvas.save_figure(figure, path, title if touched is None else f"{title}\n{touched.legend_at_end}", 8)
 
 
 def _draw_stills(plot, axes: np.ndarray, positions: np.ndarray, recorded: np.ndarray | None) -> None:
@@ -125,8 +114,8 @@ def _draw_stills(plot, axes: np.ndarray, positions: np.ndarray, recorded: np.nda
             plot.plot(*(recorded[n] @ axes.T).T, color=RECORDED, lw=2.2, alpha=fade, label="recorded" if last else None)
         plot.plot(*(rod @ axes.T).T, color=PREDICTED, lw=1.1, alpha=fade, label="simulated" if last else None)
     plot.set_aspect("equal", adjustable="datalim")
-    plot.set_xlabel(f"{direction(axes[0])} [mm]", fontsize=8)
-    plot.set_ylabel(f"{direction(axes[1])} [mm]", fontsize=8)
+    plot.set_xlabel(f"{canvas.direction(axes[0])} [mm]", fontsize=8)
+    plot.set_ylabel(f"{canvas.direction(axes[1])} [mm]", fontsize=8)
     plot.tick_params(labelsize=8)
 
 
@@ -136,7 +125,7 @@ def _draw_energies(plot, time: np.ndarray, energies: dict[str, np.ndarray], name
         plot.plot(time, value, lw=1.4, label=label, color="black" if label == "sum" else None,
                   ls="--" if label in ("dissipated", "work", "unaccounted") else "-")
     plot.set_xlabel("time [s]")
-    plot.set_ylabel(literal(f"energy of {name} [mm²]"), fontsize=9)
+    plot.set_ylabel(canvas.literal(f"energy of {name} [mm²]"), fontsize=9)
     plot.legend(fontsize=8, frameon=False, ncols=4, loc="lower center", bbox_to_anchor=(0.5, 1.0), handlelength=1.6,
                 columnspacing=1.2)
 
@@ -152,26 +141,25 @@ def save_animation(path: Path, name: str, names: list[str], positions: np.ndarra
     every = max(1, round(rate / FRAMES_PER_SECOND), -(-positions.shape[1] // MOST_FRAMES))
     frames = range(0, positions.shape[1], every)
     flat = positions[rows] @ axes.T
-    seen = None if recorded is None else recorded[rows] @ axes.T
-    limits = limits_around(flat, 0.54, 0.2)
+    limits = canvas.limits_around(flat, 0.54, 0.2)
     size = np.ptp(limits, axis=-1)
     columns = min(4, len(rows))
     lines = -(-len(rows) // columns)
     width = 2.6 if columns > 1 else 3.6
     head = 0.3 if touched is None else 0.5
-    figure = new_figure((width * columns, min(width * size[1] / size[0] + 0.3, 4.0) * lines + head), 80)
-    curves, marks, momentary = [], [], []
+    figure = canvas.new_figure((width * columns, min(width * size[1] / size[0] + 0.3, 4.0) * lines + head), 80)
+    curves, momentary = [], []  # lines with their places at all frames, and what is drawn for one
     for k in range(len(rows)):
         plot = figure.add_subplot(lines, columns, k + 1)
         plot.set(xlim=limits[0], ylim=limits[1], aspect="equal", xticks=[], yticks=[])
-        plot.set_title(literal(names[rows[k]]), fontsize=9)
+        plot.set_title(canvas.literal(names[rows[k]]), fontsize=9)
         if touched is not None:
             touched.draw_obstacles(plot, rows[k], axes, 0, Obstacle)
-        if seen is not None:
-            marks.append(plot.plot([], [], color=RECORDED, lw=4)[0])
-        curves.append(plot.plot([], [], color=PREDICTED, lw=1.8)[0])
-    figure.suptitle(literal(name) + ("" if touched is None else f"\nblue: {touched.legend}"), fontsize=10)
-    fit_titles(figure)
+        if recorded is not None:
+            curves += [(line, recorded[rows[k]] @ axes.T) for line in plot.plot([], [], color=RECORDED, lw=4)]
+        curves += [(line, flat[k]) for line in plot.plot([], [], color=PREDICTED, lw=1.8)]
+    figure.suptitle(canvas.literal(name) + ("" if touched is None else f"\nblue: {touched.legend}"), fontsize=10)
+    canvas.fit_titles(figure)
     images = []
     for frame in frames:
         for drawn in momentary:
@@ -180,10 +168,8 @@ def save_animation(path: Path, name: str, names: list[str], positions: np.ndarra
             drawn for plot, row in zip(figure.axes, rows, strict=True)
             for drawn in (*touched.draw_obstacles(plot, row, axes, frame, Moving),
                           *touched.draw_forces(plot, row, axes, frame))]
-        for k, curve in enumerate(curves):
-            curve.set_data(*flat[k, frame].T)
-            if seen is not None:
-                marks[k].set_data(*seen[k, frame].T)
+        for line, places in curves:
+            line.set_data(*places[frame].T)
         figure.canvas.draw()
         images.append(Image.fromarray(np.asarray(figure.canvas.buffer_rgba())[..., :3]))
     if path.suffix == ".gif":
@@ -199,16 +185,16 @@ def servo_picture(path_or_buffer, name: str, start: np.ndarray, end: np.ndarray,
                   reached: float, up: np.ndarray) -> None:
     """Write a PNG: the true rod (V, 3) at the ``start`` and at the ``end`` and its ``target``, NaN where nothing is asked, from
     the front and from above; and its ``distance`` (T, 2) mm to the target after each step, true and as estimated."""
-    figure = new_figure((9.0, 5.6))
+    figure = canvas.new_figure((9.0, 5.6))
     grid = figure.add_gridspec(2, 2, width_ratios=[1.1, 1.0])
-    basis = upright_basis(np.stack([start, end]), up)
+    basis = canvas.upright_basis(np.stack([start, end]), up)
     for row, (view, label) in enumerate(((basis[[0, 2]], "from the front"), (basis[:2], "from above"))):
         axes = figure.add_subplot(grid[row, 0])
         axes.plot(*(start @ view.T).T, color=START, lw=1.6, label="start")
         axes.plot(*(target @ view.T).T, color=TARGET, lw=4.5, alpha=0.5, marker="o", ms=3, label="target")
         axes.plot(*(end @ view.T).T, color=END, lw=1.4, label="end")
         axes.set_aspect("equal", adjustable="datalim")
-        axes.set_title(f"{label}: {direction(view[1])} over {direction(view[0])} [mm]", fontsize=9)
+        axes.set_title(f"{label}: {canvas.direction(view[1])} over {canvas.direction(view[0])} [mm]", fontsize=9)
         axes.tick_params(labelsize=8)
         axes.grid(alpha=0.2)
         if not row:
@@ -222,8 +208,7 @@ def servo_picture(path_or_buffer, name: str, start: np.ndarray, end: np.ndarray,
     axes.set_title("distance to the target [mm], root mean square", fontsize=9)
     axes.legend(fontsize=8, frameon=False)
     axes.grid(alpha=0.2, which="both")
-    figure.suptitle(literal(f"{name}: {len(distance)} steps"), fontsize=11)
-    save_figure(figure, path_or_buffer)
+    canvas.save_figure(figure, path_or_buffer, f"{name}: {len(distance)} steps", 11)
 
 
 MOST_DRAWN, COLUMNS = 12, 4
@@ -259,7 +244,7 @@ class MovingRods:
     @property
     def basis(self) -> np.ndarray:
         """(3, 3) rows right, into the picture, and up."""
-        return upright_basis(self.vertices.reshape(-1, *self.vertices.shape[2:]), self.up)
+        return canvas.upright_basis(self.vertices.reshape(-1, *self.vertices.shape[2:]), self.up)
 
 
 def motions_picture(path_or_buffer, rods: MovingRods, *, title: str) -> None:
@@ -277,10 +262,10 @@ def motions_picture(path_or_buffer, rods: MovingRods, *, title: str) -> None:
     places = vertices.reshape(-1, 3)
     if rods.touched is not None:
         places = np.concatenate([places, rods.touched.tips(range(shown), -1)])
-    limits = [limits_around(places @ view.T, 0.55, 0.18) for view in views]
+    limits = [canvas.limits_around(places @ view.T, 0.55, 0.18) for view in views]
     heights = [np.ptp(limit[1]) / np.ptp(limit[0]) for limit in limits]
     columns, blocks = min(shown, COLUMNS), -(-shown // COLUMNS)
-    figure = new_figure((3.4 * columns + 0.8, blocks * (3.2 * sum(heights) + 0.8) + 0.8))
+    figure = canvas.new_figure((3.4 * columns + 0.8, blocks * (3.2 * sum(heights) + 0.8) + 0.8))
     panels = figure.subplots(2 * blocks, columns, squeeze=False, height_ratios=blocks * heights)
     for rod in range(columns * blocks):
         block, column = divmod(rod, columns)
@@ -300,14 +285,13 @@ def motions_picture(path_or_buffer, rods: MovingRods, *, title: str) -> None:
                 rods.touched.draw(axes, rod, view, len(time) - 1)
             axes.grid(alpha=0.2)
             if column == 0:
-                axes.set_ylabel(f"{label}\n{direction(view[1])} [mm]", fontsize=9)
+                axes.set_ylabel(f"{label}\n{canvas.direction(view[1])} [mm]", fontsize=9)
             if row == 0:
                 count = int(jumps[:, rod].sum())
-                axes.set_title(literal(rods.names[rod]) + f": {count} jump{'s' * (count != 1)}" * (count > 0), fontsize=10)
-    figure.supxlabel(f"{direction(views[0][0])} [mm]", fontsize=10)
+                axes.set_title(canvas.literal(rods.names[rod]) + f": {counted(count, 'jump')}" * (count > 0), fontsize=10)
+    figure.supxlabel(f"{canvas.direction(views[0][0])} [mm]", fontsize=10)
     figure.colorbar(scale, ax=list(panels.ravel()), pad=0.01, aspect=40).set_label("time [s]", fontsize=10)
     more = f" ({len(rods.names) - shown} more are not drawn)" if len(rods.names) > shown else ""
     red = "\nred: before a jump (dashed) and after it" if jumps.any() else ""
     blue = "" if rods.touched is None else f"\n{rods.touched.legend_at_end}"
-    figure.suptitle(f"{literal(title)}{more}{red}{blue}", fontsize=10)
-    save_figure(figure, path_or_buffer)
+    canvas.save_figure(figure, path_or_buffer, f"{title}{more}{red}{blue}")

@@ -85,19 +85,12 @@ class LandscapePlane:
             best = tuple((axes[k][0], axes[k][1][minimum[k]], axes[k][3]) for k in free)
             at_border = any(minimum[k] in (0, len(axes[k][1]) - 1) for k in free if len(axes[k][1]) > 1)
         twist = [axis[1][0] for axis in axes if axis[0] == "twist" and len(axis[1]) == 1]
+        drawn, unfinished = (np.take_along_axis(array, least, -1)[..., 0] for array in (flat, unfinished))
         return cls(
-            axes=tuple(axes[k] for k in shown),
-            shown=tuple(shown),
-            grid=values,
-            values=np.take_along_axis(flat, least, -1)[..., 0],
-            minimum=cell,
-            valley=valley.any(axis=-1),
-            unfinished=np.take_along_axis(unfinished, least, -1)[..., 0],
-            hidden=tuple(axes[k][0] for k in free[2:]),
-            best=best,
+            axes=tuple(axes[k] for k in shown), shown=tuple(shown), grid=values, values=drawn, minimum=cell,
+            valley=valley.any(axis=-1), unfinished=unfinished, hidden=tuple(axes[k][0] for k in free[2:]), best=best,
             at_border=at_border,
-            twist=float(twist[0]) if twist and [axes[k][0] for k in shown] == ["bend_1", "bend_2"] else None,
-        )
+            twist=float(twist[0]) if twist and [axes[k][0] for k in shown] == ["bend_1", "bend_2"] else None)
 
     def places(self, index: Sequence[ArrayLike]) -> tuple[np.ndarray, np.ndarray]:
         """The cells a and b (N,) of the plane at which cells of the grid are drawn, given as (N,) indices per axis."""

@@ -32,23 +32,19 @@ MOST_REMEMBERED = 1000  # sets of shapes of a function
 _Target = TypeVar("_Target")
 
 
-def typed(target: _Target) -> _Target:
+def typed(target: _Target, owned: bool = False) -> _Target:
     """``target`` with its arguments checked: a function, or a class, whose are those of its constructor."""
-    return _applied(target, False)
-
-
-def owning(target: _Target) -> _Target:
-    """A dataclass that is :func:`typed` and whose arrays are copies that cannot be written to."""
-    return _applied(target, True)
-
-
-def _applied(target: Any, owned: bool) -> Any:
     if not isinstance(target, type):
         return _Checked(target, target.__qualname__, target, owned).wrapped
     # A dataclass's constructor has the annotations of its fields.
     annotated = target if hasattr(target, "__dataclass_fields__") else target.__init__
     target.__init__ = _Checked(target.__init__, target.__name__, annotated, owned).wrapped  # type: ignore[method-assign]
     return target
+
+
+def owning(target: _Target) -> _Target:
+    """A dataclass that is :func:`typed` and whose arrays are copies that cannot be written to."""
+    return typed(target, True)
 
 
 class _Checked:

@@ -38,6 +38,12 @@ class InterruptedRunError(RuntimeError):
     """A long run stopped early; finished work is kept and the message states how to resume (exit code 1)."""
 
 
+def require(holds: object, source, field: str, problem: str, remedy: str) -> None:
+    """Raise InputError, of which these are the parts, unless it ``holds``."""
+    if not holds:
+        raise InputError(source, field, problem, remedy)
+
+
 def require_whole(source: str, field: str, value, least: int, most: int = 2**31 - 1) -> None:
     """Raise InputError unless ``value`` is a whole number from ``least`` to ``most``, at most what kernels can count to."""
     if not isinstance(value, Integral) or isinstance(value, bool) or not least <= value <= most:

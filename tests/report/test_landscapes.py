@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from doo_ti.report import landscapes
-from doo_ti.report.canvas import landscape_colors
+from doo_ti.report.canvas import landscape_colors, pixels
 from doo_ti.report.landscapes import LandscapePanel, draw_panels
 from doo_ti.report.plane import MOST_DRAWN, LandscapePlane, cell_edges, regime
 from tests.record import runs
@@ -74,7 +74,7 @@ def test_regimes_and_region_are_drawn():
     axes, values = ribbon()
 
     def image(axes, region=None):
-        return landscapes.landscape_image(LandscapePlane.of(axes, values, (0, 0, 0, 0)), title="made up", region=region)
+        return pixels(landscapes.draw_landscape(LandscapePlane.of(axes, values, (0, 0, 0, 0)), "made up", region))
     plain, angle = image(axes), np.linspace(0, 2 * np.pi, 60, endpoint=False)
     ellipse = np.stack([1e6 * np.exp(np.cos(angle)), 1e6 * np.exp(0.5 * np.sin(angle))], axis=-1)
     region = image(axes, ellipse)

@@ -8,10 +8,19 @@ from PIL import Image
 
 from doo_ti import Observations, Observed, Plane, Surroundings
 from doo_ti.report import motions
-from doo_ti.report.canvas import direction, distance_colors, fit_titles, grid_view, landscape_colors, new_figure, quantity
+from doo_ti.report.canvas import (
+    direction,
+    distance_colors,
+    fit_titles,
+    grid_view,
+    landscape_colors,
+    new_figure,
+    pixels,
+    quantity,
+)
 from doo_ti.report.contact import Touched
 from doo_ti.report.figures import angle_curves_picture
-from doo_ti.report.landscapes import LandscapePanel, draw_landscape, landscape_image, landscape_picture, landscapes_picture
+from doo_ti.report.landscapes import LandscapePanel, draw_landscape, landscape_picture, landscapes_picture
 from doo_ti.report.motions import MovingRods, _view, motions_picture, save_rollout
 from doo_ti.report.plane import LandscapePlane, cell_edges, valley_cells
 from tests.record import runs
@@ -35,7 +44,7 @@ def test_picture_and_image_are_one_drawing(tmp_path):
     landscape_picture(tmp_path / "landscape.png", runs.plane(), title="made up")
     buffer = io.BytesIO()
     landscape_picture(buffer, runs.plane(), title="made up")
-    image = landscape_image(runs.plane(), title="made up")
+    image = pixels(draw_landscape(runs.plane(), "made up"))
     assert image.shape == (1200, 1600, 3) and image.dtype == np.uint8
     for source in (tmp_path / "landscape.png", buffer):
         np.testing.assert_array_equal(np.asarray(Image.open(source).convert("RGB")), image)
@@ -70,7 +79,7 @@ def test_cells_not_evaluated_are_grey_and_unfinished_ones_hatched():
     axes, values = run()
 
     def image(values, unfinished=None):
-        return landscape_image(LandscapePlane.of(axes, values, (2, 1, 0), unfinished), title="made up")
+        return pixels(draw_landscape(LandscapePlane.of(axes, values, (2, 1, 0), unfinished), "made up"))
 
     def grey(image):
         return (image == GREY).all(axis=-1).sum()
@@ -225,7 +234,7 @@ def test_plane_is_upright_along_the_rods(up, rng):
 @pytest.mark.parametrize("up", [(0.0, 0.0, 1.0), (0.0, 1.0, 0.0)])
 def test_flat_rods_are_shown_from_above(tmp_path, monkeypatch, height, view, up):
     shown = []
-    monkeypatch.setattr("doo_ti.report.motions.literal", lambda text: shown.append(text) or text)
+    monkeypatch.setattr("doo_ti.report.canvas.literal", lambda text: shown.append(text) or text)
     s, shifts = np.linspace(0, np.pi, 12), np.linspace(0, 20, 5)[None, :, None]
     curve = np.stack([100 * np.cos(s) + 0 * shifts, 60 * np.sin(s) + shifts, height * np.sin(3 * s) + 0 * shifts], axis=-1)
     rods = curve if up[2] else curve[..., [0, 2, 1]]
@@ -262,7 +271,7 @@ def test_arrows_of_forces_are_in_newton_where_the_weight_is_known():
 def test_whole_arrows_are_in_pictures(tmp_path, monkeypatch):
     """Of a rod that hangs over an edge: the limits hold the tips, a fifth of the picture above it at most."""
     limits = []
-    monkeypatch.setattr(motions, "save_figure", lambda figure, path: limits.append(figure.axes[0].get_ylim()))
+    monkeypatch.setattr(motions.canvas, "save_figure", lambda figure, *rest: limits.append(figure.axes[0].get_ylim()))
     x = np.linspace(0, 100, 9)
     positions = np.tile(np.stack([x, 0 * x, -0.3 * np.abs(x - 50)], axis=-1), (1, 3, 1, 1))
     force = np.zeros_like(positions)

@@ -8,7 +8,7 @@ import pytest
 
 from doo_ti import Clamp, ClampPath, Material, Observations, predict_step, relax
 from doo_ti.commands.cli import _Parser
-from doo_ti.commands.options import add_material, grid
+from doo_ti.commands.given import add_material, grid
 from doo_ti.rod.grid import parse_axis
 from doo_ti.rod.material import stiffness, weight_per_length
 from doo_ti.rod.shapes import end_clamps, hanging, overhand_knot, straight_rod

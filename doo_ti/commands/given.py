@@ -20,7 +20,7 @@ from doo_ti.io.scene import CLAMPS, PRECISIONS
 from doo_ti.rod.grid import UNITS, Axis, Grid, parse_axes, parse_axis
 from doo_ti.rod.material import bend_or_twist, force_in_newton, weight_per_length
 from doo_ti.rod.types import LARGEST, Clamp, unit_up
-from doo_ti.system.errors import InputError
+from doo_ti.system.errors import InputError, require
 from doo_ti.system.terminal import INSTALL_RECORDER, has_recorder
 
 SOURCE = "command line"
@@ -98,17 +98,17 @@ def add_frame_weight(parser: ArgumentParser, default: str) -> None:
 def add_relaxation(parser: ArgumentParser, precision: str | None) -> None:
     add_clamps(parser)
     add_frame_weight(parser, "0" if precision else "the scene's, else 0")
-    parser.add_argument("--solver", choices=("newton", "descent"), default="newton",
-                        help="newton, or the paper's gradient descent (default newton)")
+    add(parser, "--solver", None, ("newton", "descent"), "newton, or the paper's gradient descent", "newton")
     stated = precision or "the scene's, else mixed"
     parser.add_argument("--precision", choices=PRECISIONS, default=precision,
                         help=f"floating-point arithmetic (default: {stated})")
 
 
-def add(parser, option: str, metavar: str, kind: Callable, meaning: str, default=None, **more) -> None:
-    """An option with a value of that ``kind``, the ``type`` of argparse; its ``default`` is stated."""
+def add(parser, option: str, metavar: str | None, kind: Callable | tuple, meaning: str, default=None, **more) -> None:
+    """An option with a value of that ``kind``, the ``type`` of argparse, or one of several words; its ``default`` is stated."""
     stated = "" if default is None else f" (default {default if isinstance(default, str) else f'{default:g}'})"
-    parser.add_argument(option, metavar=metavar, type=kind, help=meaning + stated, default=default, **more)
+    taken = {"choices": kind} if isinstance(kind, tuple) else {"metavar": metavar, "type": kind}
+    parser.add_argument(option, help=meaning + stated, default=default, **taken, **more)
 
 
 def add_file(parser, option: str, metavar: str, meaning: str, **more) -> None:
@@ -186,8 +186,7 @@ def single_cell(options: Namespace, remedy: str = "give one number") -> Grid:
 def round_cell(options: Namespace, rods: str) -> Grid:
     """One Θ that is the same in all directions across the rod; ``rods`` says which rods must be so."""
     found = single_cell(options)
-    if not found.is_isotropic:
-        raise InputError(SOURCE, "--bend", "not the same in all directions", f"give --bend A: {rods} rods are round")
+    require(found.is_isotropic, SOURCE, "--bend", "not the same in all directions", f"give --bend A: {rods} rods are round")
     return found
 
 
@@ -196,9 +195,10 @@ def world_up(options: Namespace, otherwise: np.ndarray | None = None) -> np.ndar
     return next((found for found in (options.up, otherwise) if found is not None), np.array([0.0, 0.0, 1.0]))
 
 
-def clamps(options: Namespace) -> tuple[Clamp | None, Clamp | None]:
-    """The kinds of clamps at the start and at the end, or None where the options leave them out."""
-    return tuple(None if name is None else Clamp[name.upper()] for name in (options.clamp_start, options.clamp_end))
+def clamps(options: Namespace, otherwise: tuple[Clamp | None, ...] = (None, None)) -> tuple[Clamp | None, Clamp | None]:
+    """The kinds of clamps at the start and at the end; what the options leave out is as in ``otherwise``."""
+    names = options.clamp_start, options.clamp_end
+    return tuple(own if name is None else Clamp[name.upper()] for name, own in zip(names, otherwise, strict=True))
 
 
 def surroundings(options: Namespace) -> Surroundings:
@@ -206,8 +206,7 @@ def surroundings(options: Namespace) -> Surroundings:
     if options.obstacles is None:
         refuse(options, ("radius",), "given without --obstacles", "give both, or neither")
         return Surroundings()
-    if options.radius is None:
-        raise InputError(SOURCE, "--radius", "missing beside --obstacles", "give the radius of the rods in mm")
+    require(options.radius is not None, SOURCE, "--radius", "missing beside --obstacles", "give the radius of the rods in mm")
     if getattr(options, "solver", "newton") != "newton":
         raise InputError(SOURCE, "--solver", f"{options.solver} given beside --obstacles", "leave it out")
     return Surroundings(load_obstacles(options.obstacles), options.radius)
@@ -229,8 +228,7 @@ def refuse(options: Namespace, names: Iterable[str], problem: str, remedy: str) 
 
 def require_recorder(name: str) -> None:
     """Raise InputError where rerun is missing, which the option or command ``name`` needs."""
-    if not has_recorder():
-        raise InputError(SOURCE, name, "rerun is not installed", INSTALL_RECORDER)
+    require(has_recorder(), SOURCE, name, "rerun is not installed", INSTALL_RECORDER)
 
 
 # --- the texts of options ------------------------------------------------------------------------------------------------
@@ -256,8 +254,7 @@ def number(wanted: str, fits: Callable[[float], bool] = lambda value: True) -> R
     """A finite number that ``fits``."""
     def read(option: str, text: str) -> float:
         value = number_in(text)
-        if not (np.isfinite(value) and fits(value)):
-            raise InputError(SOURCE, option, f"{text!r} is not {wanted}", f"give {wanted}")
+        require(np.isfinite(value) and fits(value), SOURCE, option, f"{text!r} is not {wanted}", f"give {wanted}")
         return value
     return read
 
@@ -274,8 +271,7 @@ def numbers(form: str | None = None, each: Reader = number("a number, between co
     """``30,54,78``: numbers between commas, as many as in the ``form``, such as X,Y,Z, where there is one."""
     def read(option: str, text: str) -> tuple[float, ...]:
         found = tuple(each(option, part) for part in text.split(","))
-        if form is not None and len(found) != form.count(",") + 1:
-            raise InputError(SOURCE, option, f"{len(found)} numbers", f"give {form}")
+        require(form is None or len(found) == form.count(",") + 1, SOURCE, option, f"{len(found)} numbers", f"give {form}")
         return found
     return read
 
@@ -283,8 +279,7 @@ def numbers(form: str | None = None, each: Reader = number("a number, between co
 def rows(option: str, text: str | None, count: int) -> tuple[int, ...]:
     """``0,3,7``: different row numbers below ``count`` between commas; none without text."""
     found = () if text is None else tuple(whole(0, count - 1)(option, part) for part in text.split(","))
-    if len(set(found)) < len(found):
-        raise InputError(SOURCE, option, f"{text!r} names a row twice", "name each once")
+    require(len(set(found)) >= len(found), SOURCE, option, f"{text!r} names a row twice", "name each once")
     return found
 
 
@@ -314,18 +309,16 @@ def output_file(option: str, text: str | Path, suffixes: tuple[str, ...] = ()) -
                          f"name a file that ends in {' or '.join(suffixes)}")
     if option == "--recording":
         require_recorder(option)
-    if os.path.isdir(path):
-        raise InputError(SOURCE, option, f"{path} is a folder", "name a file")
+    require(not os.path.isdir(path), SOURCE, option, f"{path} is a folder", "name a file")
     if len(os.fsencode(path.name)) > LONGEST_NAME:
         raise InputError(SOURCE, option, f"{path.name[:20]}… is too long a name", f"name a file in {LONGEST_NAME} bytes")
     _check_folder(path.parent, option)
     return path
 
 
-def output_folder(option: str, text: str) -> Path:
+def folder(option: str, text: str) -> Path:
     """The folder to write, which need not exist yet."""
-    if not text.strip():
-        raise InputError(SOURCE, option, f"{text!r} is not a folder", "name one, such as . for the current one")
+    require(text.strip(), SOURCE, option, f"{text!r} is not a folder", "name one, such as . for the current one")
     _check_folder(Path(text), option)
     return Path(text)
 
@@ -333,13 +326,10 @@ def output_folder(option: str, text: str) -> Path:
 def _check_folder(folder: Path, option: str) -> None:
     """Raise InputError unless files can be written in ``folder``, which may not exist yet."""
     existing = next(path for path in (folder, *folder.absolute().parents) if os.path.lexists(path))
-    if not os.path.isdir(existing):
-        raise InputError(SOURCE, option, f"{existing} is a file, not a folder", "name another folder")
-    if not os.access(existing, os.W_OK | os.X_OK):
-        raise InputError(SOURCE, option, f"{existing} is not writable", "name another folder")
+    require(os.path.isdir(existing), SOURCE, option, f"{existing} is a file, not a folder", "name another folder")
+    require(os.access(existing, os.W_OK | os.X_OK), SOURCE, option, f"{existing} is not writable", "name another folder")
 
 
 LENGTH, COUNT, FROM_ZERO, NUMBERS = positive("mm"), whole(1), whole(0), numbers()
-OBSERVATIONS, FOLDER = output_file, output_folder
 FRAME_WEIGHT = number(f"a number of mm from zero up to {LARGEST:g}", lambda weight: 0 <= weight <= LARGEST)
 """Those that several commands take."""
