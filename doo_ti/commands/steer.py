@@ -41,7 +41,7 @@ def declare(add) -> None:
     add_steered(parser)
     given.add_out(parser, "PATH.csv", "file to write, which predict --motion reads")
     given.add(parser, "--reached", "MM", given.LENGTH, "distance at which the target is reached", PLANNED)
-    given.add(parser, "--seconds", "S", SECONDS, "longest search", 10.0)
+    given.add(parser, "--seconds", "S", SECONDS, "longest search, besides compiling and following the path", 10.0)
     given.add(parser, "--seed", "N", SEED, "of the search's random numbers", 0)
     parser = given.command(add, "servo", run_servo,
                            "bring a rod to a shape by what cameras see of it, in the virtual lab (§VI)")
@@ -83,13 +83,22 @@ def run_steer(options: Namespace) -> int:
     elif not path.clamp_error <= options.reached:
         warn(f"{in_line(options.start)}: its grippers are taken to hold half of each outer edge; if they end at the outer "
              f"marks, the rod ends about {path.clamp_error:.2g} mm elsewhere; give START and TARGET more vertices then")
+    touches, gap = path.smallest_gap == 0, path.smallest_gap
+    if not touches and gap < path.mesh_error + path.clamp_error:
+        warn(f"{in_line(options.obstacles)}: the rod passes {gap:.2g} mm beside them, which is less than the mesh error and "
+             "what clamps change; give a larger --radius to keep it farther away")
     summary = {"reached": path.reached, "distance_mm": path.distance, "mesh_error_mm": path.mesh_error,
-               "clamp_error_mm": path.clamp_error, "moments": path.moments, "seconds": path.time[-1], "out": str(out)}
+               "clamp_error_mm": path.clamp_error, "smallest_gap_mm": gap if rod.surroundings else None,
+               "smallest_radius_mm": path.smallest_radius, "moments": path.moments, "seconds": path.time[-1], "out": str(out)}
     results.report(options, summary, lambda: [
         f"{rod.observations.name}: target {'reached' if path.reached else 'not reached'}, {path.distance:.3g} mm from it "
-        "(root mean square)", f"  path        {path.moments} moments, certified stable, without a jump",
-        f"  mesh error  {path.mesh_error:.2g} mm: about how far a rod of many edges ends from that",
-        f"  clamps      {path.clamp_error:.2g} mm: about how far it ends from that if they end at the outer marks",
+        "(root mean square)",
+        *results.rows(
+            ("path", f"{path.moments} moments, certified stable, without a jump"),
+            ("obstacles", rod.surroundings and ("touched" if touches else f"passed by {gap:.3g} mm at least")),
+            ("bends", f"to a radius of {path.smallest_radius:.3g} mm where it bends most"),
+            ("mesh error", f"{path.mesh_error:.2g} mm: about how far a rod of many edges ends from that"),
+            ("clamps", f"{path.clamp_error:.2g} mm: about how far it ends from that if they end at the outer marks")),
         loading.rod_line(rod.observations)])
     return 0
 

@@ -143,6 +143,17 @@ def test_predict_follows_the_path_to_the_target(steered_folder, own, capsys):
     assert np.linalg.norm(moved["vertices_mm"][-1, 0] - own.goal[0], axis=-1).mean() < 0.5
 
 
+@pytest.mark.thorough
+def test_how_near_a_path_comes_to_obstacles_is_said(steered_folder, own, capsys):
+    """A floor a millimetre below the rod."""
+    lowest = min(own.goal[..., 2].min(), own.real.vertices[..., 2].min()) - 1.5
+    Path("floor.toml").write_text(f'obstacles = [{{ kind = "plane", point = [0, 0, {lowest - 1.0}], normal = [0, 0, 1] }}]')
+    out, err = ended(capsys, steered(own, "--obstacles floor.toml --radius 1.5 --json"))
+    said = json.loads(out)
+    assert said["reached"] and 0.5 < said["smallest_gap_mm"] < 1.1 and 5 < said["smallest_radius_mm"] < 300
+    assert ("beside them" in err) == (said["smallest_gap_mm"] < said["mesh_error_mm"] + said["clamp_error_mm"])
+
+
 def test_a_gripper_that_is_not_free_stays(steered_folder, own, capsys):
     """One vertex is asked to move 10 mm, which the other gripper can do."""
     asked = np.full_like(own.rods.vertices[:1], np.nan)
