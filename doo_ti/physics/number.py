@@ -41,8 +41,39 @@ class Number:
         return self.scalar if self.width == 1 else _pack(self.width, self.scalar)
 
     def lanes(self) -> "Lanes":
-        """Access to single lanes, as Taichi functions."""
-        return _scalar_lanes(self.scalar) if self.width == 1 else _pack_lanes(self.type, self.scalar)
+        """Access to single lanes, as functions of values."""
+        return Lanes(self._largest, self._lane, self._with_lane, self._constant)
+
+    @traced
+    def _largest(self, value):
+        if self.width == 1:
+            return value
+        # By halves: a pack's own ``max`` goes from lane to lane, which takes four times as long.
+        value, width = ti.select(value == value, value, self.type(-1e30)), self.width
+        while width > 2:
+            width //= 2
+            half = _pack(width, self.scalar)
+            first, second = (half([subscript(None, value, begin + k) for k in range(width)]) for begin in (0, width))
+            value = expr_init(ti.select(first < second, second, first))
+        first, second = subscript(None, value, 0), subscript(None, value, 1)
+        return ti.select(first < second, second, first)
+
+    @traced
+    def _lane(self, value, index):
+        return value if self.width == 1 else subscript(None, value, index)
+
+    @traced
+    def _with_lane(self, value, index, new):
+        if self.width == 1:
+            return ti.cast(new, self.scalar)
+        # Not by a store into that lane: to read the pack back would wait for it.
+        numbered = self.type([float(place) for place in range(self.width)])
+        return ti.select(numbered == ti.cast(index, self.scalar), self._constant(new), value)
+
+    @traced
+    def _constant(self, value):
+        value = ti.cast(value, self.scalar)
+        return value if self.width == 1 else self.type(value)
 
 
 @cache
@@ -51,81 +82,15 @@ def _pack(width: int, scalar):
 
 
 class Lanes(NamedTuple):
-    """Functions of values and their lanes: see :func:`_pack_lanes`."""
+    """largest    (value) the largest lane of numbers above -1e30. NaN is ignored: use it for flags only
+    lane       (value, index) the number in one lane
+    with_lane  (value, index, new) the value with one lane replaced
+    constant   (value) the same number in every lane"""
 
     largest: Callable
     lane: Callable
     with_lane: Callable
     constant: Callable
-
-
-def _scalar_lanes(scalar):
-    @ti.func
-    def largest(value):
-        return value
-
-    @ti.func
-    def lane(value, index):
-        return value
-
-    @ti.func
-    def with_lane(value, index, new):
-        return ti.cast(new, scalar)
-
-    @ti.func
-    def constant(value):
-        return ti.cast(value, scalar)
-
-    return Lanes(largest, lane, with_lane, constant)
-
-
-def _largest_of_halves(width: int, scalar):
-    """The largest lane of a pack without NaN, by halves: its ``max`` goes from lane to lane, which takes four times as long."""
-
-    @ti.func
-    def of_two(value):
-        return ti.select(value[0] < value[1], value[1], value[0])
-
-    if width == 2:
-        return of_two
-    half = ti.types.vector(width // 2, scalar)
-    of_half = _largest_of_halves(width // 2, scalar)
-
-    @ti.func
-    def of_halves(value):
-        first = half([value[slot] for slot in ti.static(range(width // 2))])
-        second = half([value[slot + width // 2] for slot in ti.static(range(width // 2))])
-        return of_half(ti.select(first < second, second, first))
-
-    return of_halves
-
-
-def _pack_lanes(pack, scalar):
-    numbered = tuple(float(place) for place in range(pack.n))
-    least = -1e30
-    of_halves = _largest_of_halves(pack.n, scalar)
-
-    @ti.func
-    def largest(value):
-        """The largest lane of numbers above -1e30. NaN is ignored: use it for flags only."""
-        return of_halves(ti.select(value == value, value, pack(least)))
-
-    @ti.func
-    def lane(value, index):
-        """The number in one lane."""
-        return value[index]
-
-    @ti.func
-    def with_lane(value, index, new):
-        """The value with one lane replaced. Not by a store into that lane: to read the pack back would wait for it."""
-        return ti.select(pack(numbered) == ti.cast(index, scalar), pack(ti.cast(new, scalar)), value)
-
-    @ti.func
-    def constant(value):
-        """The same number in every lane."""
-        return pack(value)
-
-    return Lanes(largest, lane, with_lane, constant)
 
 
 class Layout:

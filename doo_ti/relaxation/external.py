@@ -15,9 +15,11 @@ from dataclasses import dataclass, field
 from typing import Annotated, ClassVar, NamedTuple, Protocol
 
 import numpy as np
+import taichi as ti
 from numpy.typing import ArrayLike
 
-from doo_ti.physics.number import Layout, Number
+from doo_ti.physics.number import Layout, Number, read
+from doo_ti.physics.tuples import dot, minus, scaled
 from doo_ti.rod.material import LARGEST, STANDARD_GRAVITY, Material
 from doo_ti.system.arguments import short_repr, typed
 from doo_ti.system.errors import InputError
@@ -79,8 +81,6 @@ class External(Protocol):
     @staticmethod
     def functions(number: Number) -> ExternalFunctions:
         """For one kind of number."""
-        import taichi as ti
-
         @ti.func
         def load(own, numbers: ti.template(), row, edge, scale):
             pass
@@ -113,9 +113,7 @@ class Springs(External):
             raise InputError("Springs", "points", "not finite", "give finite points, and stiffness 0 where there is none")
         if not (np.isfinite(stiffness).all() and (stiffness >= 0).all()):
             raise InputError("Springs", "stiffness", "negative or not finite", "give zero or more")
-        for name, value in (("points", points), ("stiffness", stiffness)):
-            value.setflags(write=False)
-            object.__setattr__(self, name, value)
+        _keep(self, points=points, stiffness=stiffness)
 
     @property
     def count(self) -> int:
@@ -138,25 +136,19 @@ class Springs(External):
     @staticmethod
     def functions(number: Number) -> ExternalFunctions:
         """On the device: each edge carries the spring of the vertex where it ends."""
-        import taichi as ti
-
-        from doo_ti.physics.tuples import minus
-
         @ti.func
         def load(own, numbers: ti.template(), row, edge, scale):
-            own.point = (numbers[row, edge + 1, 0], numbers[row, edge + 1, 1], numbers[row, edge + 1, 2])
+            own.point = read(numbers, row, edge + 1, 0)
             own.stiffness = numbers[row, edge + 1, 3] * scale
 
         @ti.func
         def evaluate(own, numbers: ti.template(), field: ti.template(), start, end, coarse):
-            k = own.stiffness
-            d0, d1, d2 = minus(end, own.point)
-            energy = 0.5 * k * (d0 * d0 + d1 * d1 + d2 * d2)
-            gradient = (k * d0, k * d1, k * d2)
-            none = 0.0 * k
+            k, none = own.stiffness, 0.0 * own.stiffness
+            apart = minus(end, own.point)
+            gradient = scaled(apart, k)
             curvature = (k, none, none, k, none, k)
             mixed = (k, none, none, none, k, none, none, none, k)
-            return energy, gradient, gradient, curvature, mixed, curvature
+            return 0.5 * k * dot(apart, apart), gradient, gradient, curvature, mixed, curvature
 
         return ExternalFunctions(load, evaluate)
 
@@ -199,9 +191,7 @@ class PointLoads(External):
         if self.springs is not None and self.springs.stiffness.shape != force.shape[:2]:
             raise InputError("PointLoads", "springs", f"those of {self.springs.stiffness.shape} vertices",
                              f"give {force.shape[:2]}")
-        for name, value in (("force", force), ("mass", np.array(np.broadcast_to(mass, force.shape[:2])))):
-            value.setflags(write=False)
-            object.__setattr__(self, name, value)
+        _keep(self, force=force, mass=np.array(np.broadcast_to(mass, force.shape[:2])))
 
     @classmethod
     @typed
@@ -259,16 +249,12 @@ class PointLoads(External):
     @staticmethod
     def functions(number: Number) -> ExternalFunctions:
         """On the device: those of springs, and the force of the vertex where an edge ends."""
-        import taichi as ti
-
-        from doo_ti.physics.tuples import dot, minus, scaled
-
         springs = Springs.functions(number)
 
         @ti.func
         def load(own, numbers: ti.template(), row, edge, scale):
             springs.load(own, numbers, row, edge, scale)
-            own.force = scaled((numbers[row, edge + 1, 4], numbers[row, edge + 1, 5], numbers[row, edge + 1, 6]), scale)
+            own.force = scaled(read(numbers, row, edge + 1, 4), scale)
 
         @ti.func
         def evaluate(own, numbers: ti.template(), field: ti.template(), start, end, coarse):
@@ -277,6 +263,13 @@ class PointLoads(External):
             return (energy - dot(force, end), minus(gradient, force), minus(along, force), curvature, mixed, stiffness)
 
         return ExternalFunctions(load, evaluate)
+
+
+def _keep(loads: Springs | PointLoads, **arrays: np.ndarray) -> None:
+    """Set fields of a frozen dataclass to arrays that nobody can write into."""
+    for name, value in arrays.items():
+        value.setflags(write=False)
+        object.__setattr__(loads, name, value)
 
 
 def check_rows(function: str, loads: PointLoads | Springs | None, rods: int, vertices: int) -> None:

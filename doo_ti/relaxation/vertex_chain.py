@@ -128,30 +128,24 @@ class VertexChain(pair.PairEnergy):
         zero = 0.0 * rod.held[0]
         y, total = (zero, zero)
         beyond = variable(repeated(zero, 3))  # y e/l of the edge after
-        for k in range(rod.edges):
-            at, after = self.vertex(rod.origin, rod.edges - 1 - k), self.vertex(rod.origin, rod.edges - k)
-            length, moved = at.length, self.projected(after, of_gradient)
-            v = minus(after.trial_position, at.trial_position)
-            y = at.right - at.ratio * y
-            n = (v[0] * y / length, v[1] * y / length, v[2] * y / length)
-            there = self.mobility(rod, rod.edges - k)
+        for back in range(rod.edges + 1):
+            v = rod.edges - back
+            at, free = self.vertex(rod.origin, v), self.mobility(rod, v)
+            n = variable(repeated(zero, 3))
+            if v > 0:
+                before = self.vertex(rod.origin, v - 1)
+                along = minus(at.trial_position, before.trial_position)
+                y = before.right - before.ratio * y
+                n = (along[0] * y / before.length, along[1] * y / before.length, along[2] * y / before.length)
+            moved = self.projected(at, of_gradient)
             x = variable(moved.value)
-            change = scaled(minus(n, beyond), there)
             if ti.static(of_gradient):
-                x = minus(scaled(x, there), change)
+                x = scaled(x, free)
+            x = minus(x, scaled(minus(n, beyond), free))
+            if ti.static(of_gradient):
                 total = total + ti.sqrt(dot(x, x))
-            else:
-                x = minus(x, change)
             moved.value = x
             beyond = n
-        here, first = self.mobility(rod, 0), self.projected(rod.origin, of_gradient)
-        x = variable(first.value)
-        if ti.static(of_gradient):
-            x = scaled(plus(x, beyond), here)
-            total = total + ti.sqrt(dot(x, x))
-        else:
-            x = plus(x, scaled(beyond, here))
-        first.value = x
         return total
 
     def adopt(self, rod, accepted):
