@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike
 from doo_ti.physics.number import Layout, Number, read
 from doo_ti.physics.tuples import dot, minus, scaled
 from doo_ti.rod.material import LARGEST, STANDARD_GRAVITY, Material
-from doo_ti.system.arguments import short_repr, typed
+from doo_ti.system.arguments import owning, short_repr, typed
 from doo_ti.system.errors import InputError
 
 
@@ -88,7 +88,7 @@ class External(Protocol):
         return ExternalFunctions(load, None)
 
 
-@typed
+@owning
 @dataclass(frozen=True)
 class Springs(External):
     """½ k |x_i − p_i|² at every vertex: the simplest external energy.
@@ -108,12 +108,10 @@ class Springs(External):
     at_vertices: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
-        points, stiffness = (np.array(value, dtype=np.float64) for value in (self.points, self.stiffness))
-        if not np.isfinite(points).all():
+        if not np.isfinite(self.points).all():
             raise InputError("Springs", "points", "not finite", "give finite points, and stiffness 0 where there is none")
-        if not (np.isfinite(stiffness).all() and (stiffness >= 0).all()):
+        if not (np.isfinite(self.stiffness).all() and (self.stiffness >= 0).all()):
             raise InputError("Springs", "stiffness", "negative or not finite", "give zero or more")
-        _keep(self, points=points, stiffness=stiffness)
 
     @property
     def count(self) -> int:
@@ -127,7 +125,7 @@ class Springs(External):
 
     def numbers(self) -> np.ndarray:
         """(A, V, 4): point and stiffness."""
-        return np.ascontiguousarray(np.concatenate([self.points, self.stiffness[..., None]], axis=-1))
+        return np.concatenate([self.points, self.stiffness[..., None]], axis=-1, dtype=np.float64)
 
     def energy_at_start(self, start: np.ndarray, index: np.ndarray) -> np.ndarray:
         """(R,) energy at vertex 0 in ``start`` (R, 3), which no kernel moves."""
@@ -157,7 +155,7 @@ class Nothing(External):
     """No energy: for rods that only contact loads."""
 
 
-@typed
+@owning
 @dataclass(frozen=True)
 class PointLoads(External):
     """−F_i · x_i at every vertex: dead forces, and masses that hang there. An external energy, alone or together with springs.
@@ -182,16 +180,15 @@ class PointLoads(External):
     at_vertices: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
-        force, mass = (np.array(value, dtype=np.float64) for value in (self.force, self.mass))
-        for name, value in (("force", force), ("mass", mass)):
+        for name, value in (("force", self.force), ("mass", self.mass)):
             if not (np.abs(value) <= LARGEST).all():
                 raise InputError("PointLoads", name, f"not finite, or beyond {LARGEST:g}", "give finite numbers")
-        if not (mass >= 0).all():
-            raise InputError("PointLoads", "mass", f"{mass.min():g} is negative", "give zero or more")
-        if self.springs is not None and self.springs.stiffness.shape != force.shape[:2]:
-            raise InputError("PointLoads", "springs", f"those of {self.springs.stiffness.shape} vertices",
-                             f"give {force.shape[:2]}")
-        _keep(self, force=force, mass=np.array(np.broadcast_to(mass, force.shape[:2])))
+        if not np.all(self.mass >= 0):
+            raise InputError("PointLoads", "mass", f"{np.min(self.mass):g} is negative", "give zero or more")
+        rows = self.force.shape[:2]
+        if self.springs is not None and self.springs.stiffness.shape != rows:
+            raise InputError("PointLoads", "springs", f"those of {self.springs.stiffness.shape} vertices", f"give {rows}")
+        object.__setattr__(self, "mass", np.broadcast_to(np.asarray(self.mass, dtype=np.float64), rows))
 
     @classmethod
     @typed
@@ -239,7 +236,7 @@ class PointLoads(External):
     def numbers(self) -> np.ndarray:
         """(A, V, 7): point and stiffness of a spring, and the force."""
         springs = np.zeros((*self.mass.shape, 4)) if self.springs is None else self.springs.numbers()
-        return np.ascontiguousarray(np.concatenate([springs, self.whole_force], axis=-1))
+        return np.concatenate([springs, self.whole_force], axis=-1, dtype=np.float64)
 
     def energy_at_start(self, start: np.ndarray, index: np.ndarray) -> np.ndarray:
         """(R,) energy at vertex 0 in ``start`` (R, 3), which no kernel moves."""
@@ -263,13 +260,6 @@ class PointLoads(External):
             return (energy - dot(force, end), minus(gradient, force), minus(along, force), curvature, mixed, stiffness)
 
         return ExternalFunctions(load, evaluate)
-
-
-def _keep(loads: Springs | PointLoads, **arrays: np.ndarray) -> None:
-    """Set fields of a frozen dataclass to arrays that nobody can write into."""
-    for name, value in arrays.items():
-        value.setflags(write=False)
-        object.__setattr__(loads, name, value)
 
 
 def check_rows(function: str, loads: PointLoads | Springs | None, rods: int, vertices: int) -> None:

@@ -18,7 +18,7 @@ from doo_ti.relaxation import tables as of
 from doo_ti.relaxation.contacts import RodContacts
 from doo_ti.relaxation.dense_elimination import DenseElimination
 from doo_ti.relaxation.elimination import Elimination
-from doo_ti.relaxation.kernel_factory import FIELD, INDEX1, INDEX2, SCRATCH, TABLE1, TABLE2, TABLE3, TABLE4, loop_kernel
+from doo_ti.relaxation.kernel_factory import FIELD, INDEX1, RODS, TABLE1, TABLE2, TABLE3, TABLE4, loop_kernel
 from doo_ti.relaxation.loaded_elimination import LoadedElimination
 from doo_ti.relaxation.loading import LANES, NEXT, TRIPS, Loading
 from doo_ti.relaxation.newton_trip import NewtonTrip
@@ -222,15 +222,9 @@ TOLERANCES = {32: 9.9e-5, 64: 9.9e-8}
 
 
 # What kernels are given.
-NEWTON = {
+NEWTON = RODS | {
     "start": TABLE1,  # [start · edge · 4]
-    "rest_length": TABLE2,  # [1 or configuration, edge] mm
-    "clamp": TABLE2,  # [configuration, CLAMP_COLUMNS]
-    "material": TABLE2,  # [material, STIFFNESS + 1 or edge · STIFFNESS_COLUMNS]
-    "rods": INDEX2,  # [rod, ROD_COLUMNS]
     "policy": TABLE1,  # [POLICY_COLUMNS] of :mod:`doo_ti.relaxation.newton_policy`
-    "threads": ti.i32,
-    "scratch": SCRATCH,
     "queue": INDEX1,  # [NEXT, TRIPS, LANES + thread · lane] zero
     "frames": TABLE1,  # [row · edge · 4] in where a rod starts from there, and out
     "results": TABLE2,  # [row, RESULTS] out

@@ -6,7 +6,7 @@ from functools import cache, partial
 import numpy as np
 import taichi as ti
 
-from doo_ti.physics.algebra import against, forward, symmetric_gram
+from doo_ti.physics.algebra import against, forward
 from doo_ti.physics.number import Number, device_functions
 from doo_ti.physics.tuples import chosen, negated, plus, record, repeated, scaled, variable
 from doo_ti.relaxation import tables as of
@@ -14,7 +14,7 @@ from doo_ti.relaxation.batch import launch, layout_for
 from doo_ti.relaxation.chain import edge_layout
 from doo_ti.relaxation.contact_sensitivity import ContactSensitivity
 from doo_ti.relaxation.elimination import Elimination
-from doo_ti.relaxation.kernel_factory import INDEX1, INDEX2, SCRATCH, TABLE1, TABLE2, TABLE3, TABLE4, loop_kernel
+from doo_ti.relaxation.kernel_factory import INDEX1, RODS, TABLE1, TABLE2, TABLE3, TABLE4, loop_kernel
 from doo_ti.relaxation.loading import Loading
 from doo_ti.relaxation.newton import OBSTACLES
 from doo_ti.relaxation.parameter_gradient import DIRECTION_COLUMNS, KEPT
@@ -36,14 +36,6 @@ class SensitivitySweep(SensitivityColumns, Elimination):
     def edge_pull(self, rod, edge, weight):
         """With the point loads, which are kept with the forces of obstacles."""
         return plus(scaled(rod.gravity, weight), edge.external.beyond)
-
-    def schur_complement(self, rod):
-        """S = Σ W_Aᵀ D⁻¹ W_A."""
-        s = variable(repeated(0.0 * rod.total, 6))
-        for e in range(rod.edges):
-            edge = self.edge(rod.head, e)
-            s = plus(s, symmetric_gram(edge.pivots, edge.border))
-        return s
 
     def solve_column(self, rod, column, schur, closure):
         """dω into the place of the step, where closure is changed by ``closure``; returns dλ."""
@@ -166,16 +158,15 @@ def point_loads(table: Tables) -> np.ndarray:
 
 
 # What kernels are given: for rods at rest of any kind, and where their derivatives go.
-AT_REST = {
-    "start": TABLE1, "rest_length": TABLE2, "clamp": TABLE2, "material": TABLE2,  # as the Newton kernel has them
+AT_REST = RODS | {
+    "start": TABLE1,  # as the Newton kernel has it
     "up": TABLE1,  # [3] against gravity
-    "rods": INDEX2,  # [rod, ROD_COLUMNS]
     "frames": TABLE1,  # [row · edge · 4] the equilibria
     "results": TABLE2,  # [row, LOADED_RESULTS] of which −λ and how far vertex 0 has moved are read
     "beyond": TABLE3,  # [row, edge, 3] forces of obstacles, see :func:`_beyond`
     "directions": TABLE2,  # [column, DIRECTION_COLUMNS]
     "modes": TABLE3,  # [mode, joint, 3]
-    "columns": ti.i32, "threads": ti.i32, "scratch": SCRATCH,
+    "columns": ti.i32,
     "sound": INDEX1,  # [row] out: one where there are results
 }
 COLUMNS = {

@@ -12,7 +12,7 @@ from doo_ti.relaxation import tables as of
 from doo_ti.relaxation.batch import launch, layout_for, policy_row
 from doo_ti.relaxation.contacts import RodContacts
 from doo_ti.relaxation.dense_elimination import DenseElimination
-from doo_ti.relaxation.kernel_factory import INDEX1, INDEX2, SCRATCH, TABLE1, TABLE2, TABLE3, TABLE4, loop_kernel
+from doo_ti.relaxation.kernel_factory import INDEX1, INDEX2, RODS, TABLE1, TABLE2, TABLE3, TABLE4, loop_kernel
 from doo_ti.relaxation.newton import OBSTACLES, Newton
 from doo_ti.relaxation.self_contacts import SelfContacts
 from doo_ti.relaxation.tables import Tables, room
@@ -30,19 +30,13 @@ class DenseTimeSweep(DenseElimination, TimeImpact):
 
 
 # What kernels are given.
-STEPS = {
-    "rest_length": TABLE2,  # [1 or configuration, edge] mm
-    "clamp": TABLE2,  # [configuration, CLAMP_COLUMNS]
+STEPS = RODS | {
     "path": TABLE3,  # [configuration, step, PATH_COLUMNS]
-    "material": TABLE2,  # [material, STIFFNESS + 1 or edge · STIFFNESS_COLUMNS]
     "numbers": TABLE3,  # [numbers, vertex, VERTEX_ITEMS − INERTIA]
     "shares": TABLE2,  # [numbers, 2] of rest curvature and of rest twist that damping makes
-    "rods": INDEX2,  # [rod, ROD_COLUMNS]
     "policy": TABLE1,  # [POLICY_COLUMNS] of :mod:`doo_ti.relaxation.newton_policy`
     "time": TABLE1,  # [TIME_COLUMNS] of :mod:`doo_ti.relaxation.time_sweep`
     "steps": ti.i32, "every": ti.i32,  # and after how many of them a frame is stored
-    "threads": ti.i32,
-    "scratch": SCRATCH,
     "queue": INDEX1,  # [NEXT, TRIPS, LANES + twice thread · lane] zero
     "frames": TABLE1,  # [row · edge · 4] at the last instant, in and out
     "frames_before": TABLE1,  # and at the one before
