@@ -126,7 +126,7 @@ class Elimination(Chain):
         for back in range(rod.edges):
             e = rod.edges - 1 - back
             edge = self.edge(rod.head, e)
-            right = self.without_border(edge, edge.border, found.change)
+            right = algebra.minus_combination(edge.rotation, edge.border, found.change)
             decrement = decrement + algebra.squared(edge.pivots, right)
             w = self.solved_edge(edge, right, w)
             largest = self.longer(largest, w)
@@ -178,10 +178,6 @@ class Elimination(Chain):
     def closure_columns(self, edge):
         """W_A of an edge."""
         return edge.force_border if self.has_border else edge.border
-
-    def without_border(self, edge, columns, border):
-        """W_r − W_border border of an edge, whose W_border has these ``columns``."""
-        return algebra.minus_combination(edge.rotation, columns, border)
 
     def solved_edge(self, edge, right, w):
         """ω = L⁻ᵀ D⁻¹ (``right`` − W_U ω_neighbour) of an edge, into its place."""

@@ -246,6 +246,6 @@ class LoadedElimination(LooseStart):
     def without_multiplier(self, edge, change):
         """W_r − W_λ δλ of an edge."""
         if ti.static(self.has_border):
-            return self.without_border(edge, edge.force_border, change)
+            return algebra.minus_combination(edge.rotation, edge.force_border, change)
         else:
             return edge.rotation

@@ -246,8 +246,8 @@ OBSTACLES = {
 
 
 @cache
-def newton_kernel(number: Number, stride: int, block: int, isotropic: bool, external: type | None = None,
-                  any_ends: bool = False):
+def newton_kernel(number: Number, stride: int, block: int, isotropic: bool, external: type | None, any_ends: bool,
+                  contact: tuple[bool, bool] | None):
     """The kernel, compiled on first use, for one kind of number, of material and of external energy.
 
     stride: distance between the numbers of a thread in scratch, 1 on a CPU, at least the number of threads on a GPU.
@@ -255,19 +255,15 @@ def newton_kernel(number: Number, stride: int, block: int, isotropic: bool, exte
     external: the class of the external energy, whose numbers and field the kernel then takes as two more arrays.
     any_ends: some rods under the external energy have vertex 0 free or the far end held. Without these the kernel is smaller
         and faster.
+    contact: of rods that may touch something, under an external energy and with any ends, whether there are grids and whether
+        they may touch themselves.
     """
+    if contact is not None:
+        has_grid, itself = contact
+        contacts = SelfContacts(number, has_grid) if itself else RodContacts(number, has_grid, takes_met=True)
+        sweep = (DenseLoadedElimination if itself else LoadedElimination)(number, isotropic, stride, external, True, contacts)
+        return loop_kernel("newton_in_contact", number, NEWTON | EXTERNAL | OBSTACLES, NewtonLoop(sweep), block, brief=True)
     if external is None:
         return loop_kernel("newton", number, NEWTON, NewtonLoop(Elimination(number, isotropic, stride)), block)
     sweep = LoadedElimination(number, isotropic, stride, external, any_ends)
     return loop_kernel("newton_under_load", number, NEWTON | EXTERNAL, NewtonLoop(sweep), block)
-
-
-@cache
-def contact_kernel(number: Number, stride: int, block: int, isotropic: bool, external: type, has_grid: bool,
-                   itself: bool):
-    """The same for rods that may touch obstacles, with ``has_grid`` grids, or ``itself``, under an external energy."""
-    if itself:
-        sweep = DenseLoadedElimination(number, isotropic, stride, external, True, SelfContacts(number, has_grid))
-    else:
-        sweep = LoadedElimination(number, isotropic, stride, external, True, RodContacts(number, has_grid, takes_met=True))
-    return loop_kernel("newton_in_contact", number, NEWTON | EXTERNAL | OBSTACLES, NewtonLoop(sweep), block, brief=True)

@@ -157,20 +157,16 @@ def _check_same_rods(solution: Solution, *given) -> None:
 def _newton(table: Tables, solver: Newton, precision: str, begin: Solution | None):
     """(frames, results, bits per rod) of one precision after the other, from the starts or from the end of ``begin``."""
     evener, uneven = (table, np.zeros(0, dtype=np.int64)) if begin is not None else evened(table, RATIOS[0])
-    if precision == "f64":
-        frames, results = batch.run_newton(evener, solver, 64, begin)
-        _with_ratios(table, solver, 64, frames, results, uneven)
-        return frames, results, np.full(len(results), 64)
-    coarse = solver if precision == F32_ONLY else replace(
+    first, last = 64 if precision == "f64" else 32, 32 if precision == F32_ONLY else 64
+    coarse = solver if first == last else replace(
         solver, max_iterations=min(solver.max_iterations, ITERATIONS_32),
         tolerance=None if precision == "mixed" else solver.tolerance)
-    frames, results = batch.run_newton(evener, coarse, 32, begin)
-    bits = np.full(len(results), 32)
-    if precision == F32_ONLY:
-        _with_ratios(table, solver, 32, frames, results, uneven)
+    frames, results = batch.run_newton(evener, coarse, first, begin)
+    _with_ratios(table, solver, last, frames, results, uneven)
+    bits = np.full(len(results), first)
+    bits[uneven] = last
+    if first == last:
         return frames, results, bits
-    _with_ratios(table, solver, 64, frames, results, uneven)
-    bits[uneven] = 64
     feasible = results[:, of.STATUS] != INFEASIBLE
     short = (results[:, of.STATUS] != CONVERGED) | (results[:, of.STABLE] == 0)
     rows = np.flatnonzero(feasible & (short | (precision == "mixed")) & (bits == 32))

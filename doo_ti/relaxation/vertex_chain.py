@@ -22,13 +22,6 @@ right-hand side of the tridiagonal systems."""
 PROJECTION_ROUNDS = 2
 
 
-@ti.func
-def edge_force(gradient, frame, length):
-    """∂E/∂e of an edge, across it, from the gradient of its frame: (g_3 m1 − g_2 m2)/|e|."""
-    of_m1 = scaled(quaternion.first_director(frame), gradient[2] / length)
-    return minus(of_m1, scaled(quaternion.second_director(frame), gradient[1] / length))
-
-
 @device_functions
 class VertexChain(pair.PairEnergy):
     """The sweeps over vertices, for one kind of number; materials are always general.
@@ -267,7 +260,8 @@ class VertexChain(pair.PairEnergy):
                 if v == rod.edges - 1:
                     moment = moment * rod.spin[1]
                 found.spin = larger(found.spin, absolute(moment))
-                n = edge_force(gradient, at.trial_frame, at.length)
+                t, m1, m2 = quaternion.directors(at.trial_frame)
+                n = minus(scaled(m1, gradient[2] / at.length), scaled(m2, gradient[1] / at.length))
             at.trial_force = minus(f, n)
         found.magnitude = found.energy + found.magnitude
         found.energy = found.energy + potential
