@@ -112,8 +112,7 @@ class NewtonLoop(QueueLoop, NewtonTrip):
             self.sweep.contacts.unload_forces(tables, slot, row, self.loading.force_unit(own))
         status = self.lane(lane.status, slot)
         if status == self.not_finite or status == self.infeasible:
-            for k in ti.static(range(of.RESULTS)):
-                tables.results[row, k] = ti.math.nan
+            write(tables.results, row, 0, values=repeated(ti.math.nan, of.RESULTS))
             if ti.static(self.touches):
                 for v, k in ti.ndrange(tables.forces.shape[1], 3):
                     tables.forces[row, v, k] = 0.0
@@ -131,8 +130,7 @@ class NewtonLoop(QueueLoop, NewtonTrip):
                 force = 0.0 - ti.cast(self.lane(lane.multiplier[k], slot), ti.f64)
                 tables.results[row, of.FORCE + k] = force * unit / length_unit
             miss = (self.lane(lane.miss[0], slot), self.lane(lane.miss[1], slot), self.lane(lane.miss[2], slot))
-            squares = miss[0] ** 2 + miss[1] ** 2 + miss[2] ** 2
-            tables.results[row, of.CLOSURE] = ti.sqrt(squares) / total
+            tables.results[row, of.CLOSURE] = ti.sqrt(dot(miss, miss)) / total
             target = in_f64(own.target)
             along = self.lane(lane.along, slot)
             if along > 0.0:

@@ -60,7 +60,7 @@ class SensitivitySweep(SensitivityColumns, Elimination):
             far = variable(repeated(0.0 * rod.total, 3))
             for e in range(rod.edges):
                 edge = self.edge(rod.head, e)
-                far = self.moved_end(edge, far, column.stretch)
+                far = self.end_of_turned(edge, far, edge.rotation, column.stretch)
             x = chosen(rod.released > 0.5, negated(far), x)
         return x
 
@@ -82,21 +82,21 @@ def run_sensitivity(solution: Solution, usable: np.ndarray, directions: np.ndarr
     # Kernels take no arrays without entries.
     written = {name: array if array.shape[3] else np.empty((1,) * array.ndim)
                for name, array in zip(COLUMNS, outputs, strict=True)}
-    kernels = SOLVING, SOLVING_IN_CONTACT if columns else None
-    lost = ~run_at_rest(solution, usable, kernels, directions, modes, written, first, last, packed=True)
+    lost = ~run_at_rest(solution, usable, SOLVING, directions, modes, written, first, last, packed=True, contacts=columns > 0)
     for array in outputs:
         array[lost] = np.nan
     return *outputs[:3], outputs[3][..., 0], ~lost
 
 
-def run_at_rest(solution: Solution, usable: np.ndarray, kernels: tuple, directions: np.ndarray, modes: np.ndarray,
-                arrays: dict, first: int, last: int, packed: bool = False) -> np.ndarray:
+def run_at_rest(solution: Solution, usable: np.ndarray, kernels: Callable, directions: np.ndarray, modes: np.ndarray,
+                arrays: dict, first: int, last: int, packed: bool = False, contacts: bool = True) -> np.ndarray:
     """Launch kernels over the rods from ``first`` to ``last`` of a solution that are ``usable``; ``directions`` and ``modes``
     as :func:`run_sensitivity` has them.
 
-    kernels  :func:`kernels_at_rest`: for rods that touch nothing and for those at obstacles; None: the first takes them all
-    arrays   further ones of the kernels
-    packed   whether the first kernel takes packs of rods
+    kernels   :func:`kernels_at_rest`
+    arrays    further ones of the kernels
+    packed    whether that of rods that touch nothing takes packs of rods
+    contacts  whether what rods touch matters
 
     Returns which rods (R,) are at a minimum and have results.
     """
@@ -112,7 +112,7 @@ def run_at_rest(solution: Solution, usable: np.ndarray, kernels: tuple, directio
     given = arrays | {"frames": frames.reshape(-1), "results": results, "beyond": _beyond(table, first, last), "sound": sound,
                       "directions": directions, "modes": np.ascontiguousarray(modes), "columns": columns}
     touching = np.zeros(count, dtype=bool)  # or with vertex 0 free among obstacles
-    if kernels[1] is not None and table.contact is not None:
+    if contacts and table.contact is not None:
         loose = table.clamp[table.configuration_index[first:last], of.LOOSE] > 0
         touching = loose | (table.contact.forces[first:last] != 0.0).any(axis=(1, 2))
     for part, contact in ((~touching, None), (touching, table.contact)):
@@ -120,12 +120,12 @@ def run_at_rest(solution: Solution, usable: np.ndarray, kernels: tuple, directio
         if not len(rods):
             continue
         rods[:, of.RESULT_ROW] -= first
-        kernel, more = kernels[0], {}
+        kernel, more = kernels, {}
         if contact is not None:
             obstacles, radius = (array if len(array) == 1 else array[first:last]
                                  for array in (contact.obstacles, contact.radius))
             loads = np.zeros((1, 1, 3)) if table.external is None else point_loads(table)[first:last]
-            kernel = partial(kernels[1], has_grid=contact.has_grid)
+            kernel = partial(kernels, has_grid=contact.has_grid)
             more = {"obstacles": obstacles, "kinds": contact.kinds, "grids": contact.grids, "radius": radius,
                     "memory": contact.memory[first:last], "point_loads": loads}
         layout = layout_for(len(rods), 64, width=None if packed and contact is None else 1, most=MOST_THREADS_ON_A_GPU)
@@ -178,19 +178,17 @@ CONTACTS_AT_REST = {name: OBSTACLES[name] for name in ("obstacles", "kinds", "gr
     "point_loads": TABLE3}  # [row, vertex, 3], or a single one of zero
 
 
-def kernels_at_rest(name: str, results: dict, alone: type, touching: type) -> tuple[Callable, Callable]:
+def kernels_at_rest(name: str, results: dict, alone: type, touching: type) -> Callable:
     """What :func:`run_at_rest` takes as ``kernels``, made as by :func:`.newton_kernel` of these sweeps: for rods that touch
-    nothing, and for those that touch obstacles. They write ``results``."""
+    nothing, and with ``has_grid`` for those that touch obstacles. They write ``results``."""
     @cache
-    def kernel(number: Number, stride: int, block: int):
-        return loop_kernel(name, number, AT_REST | results, alone(number, stride), block)
-
-    @cache
-    def in_contact(number: Number, stride: int, block: int, has_grid: bool):
+    def kernel(number: Number, stride: int, block: int, has_grid: bool | None = None):
+        if has_grid is None:
+            return loop_kernel(name, number, AT_REST | results, alone(number, stride), block)
         given = AT_REST | results | CONTACTS_AT_REST
         return loop_kernel(f"{name}_in_contact", number, given, touching(stride, has_grid), block, brief=True)
 
-    return kernel, in_contact
+    return kernel
 
 
-SOLVING, SOLVING_IN_CONTACT = kernels_at_rest("solve", COLUMNS, SensitivitySweep, ContactSensitivity)
+SOLVING = kernels_at_rest("solve", COLUMNS, SensitivitySweep, ContactSensitivity)

@@ -61,6 +61,15 @@ class VertexChain(pair.PairEnergy):
             free = free * (1.0 - rod.held[3])
         return free
 
+    def spins(self, rod, e):
+        """One where the frame of edge ``e`` may spin."""
+        free = 0.0 * rod.spin[0] + 1.0
+        if e == 0:
+            free = rod.spin[0]
+        if e == rod.edges - 1:
+            free = rod.spin[1]
+        return free
+
     # --- sweeps ---
 
     def move(self, rod, step):
@@ -204,17 +213,11 @@ class VertexChain(pair.PairEnergy):
                 b2 = 2.0 * stiffness[3]
                 g, h = g + of_left[0], h + ti.max(h_left[0], b2)
                 gradient, curvature = of_right[0], ti.max(h_right[0], b2)
-            free, after_free = (one, one)
-            if e == 0:
-                free = rod.spin[0]
-            if e == rod.edges - 1:
-                free = rod.spin[1]
-            if e == rod.edges - 2:
-                after_free = rod.spin[1]
+            free = self.spins(rod, e)
             pivot = h - coupling * ratio
             pivot = ti.select((free > 0.5) & (pivot > 0.0), pivot, one)
             right = free * (0.0 - g - coupling * right) / pivot
-            coupling = 0.0 - b2 * free * after_free
+            coupling = 0.0 - b2 * free * self.spins(rod, e + 1)
             ratio = coupling / pivot
             at.right = right
             at.ratio = ratio
@@ -254,12 +257,7 @@ class VertexChain(pair.PairEnergy):
                     found.energy = found.energy + self.energy_of(bent, stiffness)
                     of_left, of_right = self.gradient_of(bent, stiffness)
                     gradient, carried = plus(gradient, of_left), of_right
-                moment = gradient[0]
-                if v == 0:
-                    moment = moment * rod.spin[0]
-                if v == rod.edges - 1:
-                    moment = moment * rod.spin[1]
-                found.spin = larger(found.spin, absolute(moment))
+                found.spin = larger(found.spin, absolute(gradient[0] * self.spins(rod, v)))
                 t, m1, m2 = quaternion.directors(at.trial_frame)
                 n = minus(scaled(m1, gradient[2] / at.length), scaled(m2, gradient[1] / at.length))
             at.trial_force = minus(f, n)
