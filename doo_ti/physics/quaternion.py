@@ -124,10 +124,10 @@ def from_matrix(m):
 
     Each row of 4 q qᵀ is q up to length: the first serves unless the scalar is small, the largest always.
     """
-    trace = m[0] + m[4] + m[8]
     wx, wy, wz = (m[7] - m[5], m[2] - m[6], m[3] - m[1])
-    q, most = variable((1.0 + trace, wx, wy, wz)), 1.0 + trace
-    if not trace > 0.0:
+    most = 1.0 + m[0] + m[4] + m[8]
+    q = variable((most, wx, wy, wz))
+    if not m[0] + m[4] + m[8] > 0.0:
         xx, yy, zz = (1.0 + m[0] - m[4] - m[8], 1.0 - m[0] + m[4] - m[8], 1.0 - m[0] - m[4] + m[8])
         xy, xz, yz = (m[1] + m[3], m[2] + m[6], m[5] + m[7])
         if xx > most:
