@@ -10,10 +10,8 @@ as attributes: ``edge.length`` is a number, ``edge.frame`` a tuple of four, and 
 it in the kernel are reads and writes.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache, wraps
-from typing import NamedTuple
 
 import taichi as ti
 from taichi.lang.expr import Expr
@@ -25,7 +23,7 @@ from doo_ti.physics.tuples import picked, traced
 
 @dataclass(frozen=True)
 class Number:
-    """``width`` rods in a value of ``bits``-bit floating point."""
+    """``width`` rods in a value of ``bits``-bit floating point; its methods are functions of values in kernels."""
 
     width: int
     bits: int
@@ -40,16 +38,14 @@ class Number:
         """The Taichi type of a value."""
         return self.scalar if self.width == 1 else _pack(self.width, self.scalar)
 
-    def lanes(self) -> "Lanes":
-        """Access to single lanes, as functions of values."""
-        return Lanes(self._largest, self._lane, self._with_lane, self._constant)
-
     @traced
-    def _largest(self, value):
+    def largest(self, value):
+        """The largest lane of numbers above -1e30. NaN is ignored: use it for flags only."""
         if self.width == 1:
             return value
         # By halves: a pack's own ``max`` goes from lane to lane, which takes four times as long.
-        value, width = ti.select(value == value, value, self.type(-1e30)), self.width
+        value, width = expr_init(value), self.width
+        value = expr_init(ti.select(value == value, value, self.type(-1e30)))
         while width > 2:
             width //= 2
             half = _pack(width, self.scalar)
@@ -59,19 +55,22 @@ class Number:
         return ti.select(first < second, second, first)
 
     @traced
-    def _lane(self, value, index):
+    def lane(self, value, index):
+        """The number in one lane."""
         return value if self.width == 1 else subscript(None, value, index)
 
     @traced
-    def _with_lane(self, value, index, new):
+    def with_lane(self, value, index, new):
+        """The value with one lane replaced."""
         if self.width == 1:
             return ti.cast(new, self.scalar)
         # Not by a store into that lane: to read the pack back would wait for it.
         numbered = self.type([float(place) for place in range(self.width)])
-        return ti.select(numbered == ti.cast(index, self.scalar), self._constant(new), value)
+        return ti.select(numbered == ti.cast(index, self.scalar), self.constant(new), value)
 
     @traced
-    def _constant(self, value):
+    def constant(self, value):
+        """The same number in every lane."""
         value = ti.cast(value, self.scalar)
         return value if self.width == 1 else self.type(value)
 
@@ -79,18 +78,6 @@ class Number:
 @cache
 def _pack(width: int, scalar):
     return ti.types.vector(width, scalar)
-
-
-class Lanes(NamedTuple):
-    """largest    (value) the largest lane of numbers above -1e30. NaN is ignored: use it for flags only
-    lane       (value, index) the number in one lane
-    with_lane  (value, index, new) the value with one lane replaced
-    constant   (value) the same number in every lane"""
-
-    largest: Callable
-    lane: Callable
-    with_lane: Callable
-    constant: Callable
 
 
 class Layout:

@@ -147,7 +147,7 @@ def add(fields, **values) -> None:
 
 @picked
 def put_lane(fields: Record, with_lane, slot, **values) -> None:
-    """Lane ``slot`` of the fields of those names, by ``with_lane`` of :class:`doo_ti.physics.number.Lanes`."""
+    """Lane ``slot`` of the fields of those names, by ``with_lane`` of :class:`doo_ti.physics.number.Number`."""
     _reassign(fields, values, lambda old, new: with_lane(old, slot, new))
 
 

@@ -83,12 +83,12 @@ class Chain(PairEnergy):
     """
 
     def __init__(self, number, isotropic: bool, stride: int, edge: Layout | None = None, rod: Layout = ROD):
-        self.number, self.isotropic = number, isotropic
+        self.number, self.width, self.isotropic = number, number.width, isotropic
         self.memory = Scratch(number, stride)
         self.rod_layout, self.edge_layout = rod, edge or edge_layout(isotropic)
         self.functions, self.has_coarse, self.pulls_start = None, False, False  # of an external energy
         self.has_border, self.touches = False, False
-        self.width, (self.largest, self.lane, self.with_lane, self.constant) = number.width, number.lanes()
+        self.largest, self.lane, self.with_lane, self.constant = number.largest, number.lane, number.with_lane, number.constant
         self.twist_angle = twist_angle_function(number)
         # What makes AᵀA regular: a share of its trace, and where that is zero a number whose cube, the determinant, is none
         # that rounds to zero. Without closure the edges of a straight rod are parallel; with it they are not; λ must be exact.

@@ -71,7 +71,7 @@ class DescentLoop(QueueLoop):
 
     def __init__(self, number: Number, stride: int):
         self.sweep, self.memory = VertexChain(number), Scratch(number, stride)
-        self.largest, self.lane, self.with_lane, self.constant = number.lanes()
+        self.largest, self.lane, self.with_lane, self.constant = number.largest, number.lane, number.with_lane, number.constant
         self.width, self.scalar = number.width, number.scalar
         self.rounding = 2e-6 if number.bits == 32 else 1e-13
         self.converged, self.limit = int(Status.CONVERGED), int(Status.ITERATION_LIMIT)
