@@ -56,9 +56,8 @@ class Distance:
     longer to compile."""
 
     def __init__(self, number, has_grid: bool):
-        lanes = number.lanes()
         self.tiny, self.has_grid = TINY, has_grid
-        self.lane, self.with_lane, self.width, self.scalar = lanes.lane, lanes.with_lane, number.width, number.scalar
+        self.lane, self.with_lane, self.width, self.scalar = number.lane, number.with_lane, number.width, number.scalar
 
     def unit(self, normal):
         """A normal over its length, which only of a grid is not one."""

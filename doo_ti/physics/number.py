@@ -10,10 +10,8 @@ as attributes: ``edge.length`` is a number, ``edge.frame`` a tuple of four, and 
 it in the kernel are reads and writes.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache, wraps
-from typing import NamedTuple
 
 import taichi as ti
 from taichi.lang.expr import Expr
@@ -25,7 +23,7 @@ from doo_ti.physics.tuples import picked, traced
 
 @dataclass(frozen=True)
 class Number:
-    """``width`` rods in a value of ``bits``-bit floating point."""
+    """``width`` rods in a value of ``bits``-bit floating point; its methods are functions of values in kernels."""
 
     width: int
     bits: int
@@ -40,92 +38,46 @@ class Number:
         """The Taichi type of a value."""
         return self.scalar if self.width == 1 else _pack(self.width, self.scalar)
 
-    def lanes(self) -> "Lanes":
-        """Access to single lanes, as Taichi functions."""
-        return _scalar_lanes(self.scalar) if self.width == 1 else _pack_lanes(self.type, self.scalar)
+    @traced
+    def largest(self, value):
+        """The largest lane of numbers above -1e30. NaN is ignored: use it for flags only."""
+        if self.width == 1:
+            return value
+        # By halves: a pack's own ``max`` goes from lane to lane, which takes four times as long.
+        value, width = expr_init(value), self.width
+        value = expr_init(ti.select(value == value, value, self.type(-1e30)))
+        while width > 2:
+            width //= 2
+            half = _pack(width, self.scalar)
+            first, second = (half([subscript(None, value, begin + k) for k in range(width)]) for begin in (0, width))
+            value = expr_init(ti.select(first < second, second, first))
+        first, second = subscript(None, value, 0), subscript(None, value, 1)
+        return ti.select(first < second, second, first)
+
+    @traced
+    def lane(self, value, index):
+        """The number in one lane."""
+        return value if self.width == 1 else subscript(None, value, index)
+
+    @traced
+    def with_lane(self, value, index, new):
+        """The value with one lane replaced."""
+        if self.width == 1:
+            return ti.cast(new, self.scalar)
+        # Not by a store into that lane: to read the pack back would wait for it.
+        numbered = self.type([float(place) for place in range(self.width)])
+        return ti.select(numbered == ti.cast(index, self.scalar), self.constant(new), value)
+
+    @traced
+    def constant(self, value):
+        """The same number in every lane."""
+        value = ti.cast(value, self.scalar)
+        return value if self.width == 1 else self.type(value)
 
 
 @cache
 def _pack(width: int, scalar):
     return ti.types.vector(width, scalar)
-
-
-class Lanes(NamedTuple):
-    """Functions of values and their lanes: see :func:`_pack_lanes`."""
-
-    largest: Callable
-    lane: Callable
-    with_lane: Callable
-    constant: Callable
-
-
-def _scalar_lanes(scalar):
-    @ti.func
-    def largest(value):
-        return value
-
-    @ti.func
-    def lane(value, index):
-        return value
-
-    @ti.func
-    def with_lane(value, index, new):
-        return ti.cast(new, scalar)
-
-    @ti.func
-    def constant(value):
-        return ti.cast(value, scalar)
-
-    return Lanes(largest, lane, with_lane, constant)
-
-
-def _largest_of_halves(width: int, scalar):
-    """The largest lane of a pack without NaN, by halves: its ``max`` goes from lane to lane, which takes four times as long."""
-
-    @ti.func
-    def of_two(value):
-        return ti.select(value[0] < value[1], value[1], value[0])
-
-    if width == 2:
-        return of_two
-    half = ti.types.vector(width // 2, scalar)
-    of_half = _largest_of_halves(width // 2, scalar)
-
-    @ti.func
-    def of_halves(value):
-        first = half([value[slot] for slot in ti.static(range(width // 2))])
-        second = half([value[slot + width // 2] for slot in ti.static(range(width // 2))])
-        return of_half(ti.select(first < second, second, first))
-
-    return of_halves
-
-
-def _pack_lanes(pack, scalar):
-    numbered = tuple(float(place) for place in range(pack.n))
-    least = -1e30
-    of_halves = _largest_of_halves(pack.n, scalar)
-
-    @ti.func
-    def largest(value):
-        """The largest lane of numbers above -1e30. NaN is ignored: use it for flags only."""
-        return of_halves(ti.select(value == value, value, pack(least)))
-
-    @ti.func
-    def lane(value, index):
-        """The number in one lane."""
-        return value[index]
-
-    @ti.func
-    def with_lane(value, index, new):
-        """The value with one lane replaced. Not by a store into that lane: to read the pack back would wait for it."""
-        return ti.select(pack(numbered) == ti.cast(index, scalar), pack(ti.cast(new, scalar)), value)
-
-    @ti.func
-    def constant(value):
-        """The same number in every lane."""
-        return pack(value)
-
-    return Lanes(largest, lane, with_lane, constant)
 
 
 class Layout:

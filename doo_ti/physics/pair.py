@@ -14,17 +14,17 @@ Derivatives are by the spin a of each frame about its tangent and its tilt Ω = 
 carries its twist along. Spins change nothing but the twist of an isotropic rod: their second derivatives are 2b ∇m ∇mᵀ.
 
 Two variants of the same energy: isotropic (B = αI, ω̄ = 0), and any symmetric positive definite B per edge with rest
-curvature. Stiffness is passed as a tuple: isotropic (α/l̄, β/l̄), general (B_left, B_right, 1/l̄, β/l̄, u̅) with
-B = (11, 22, 12) and u̅ = ω̄ l̄/2 as (real, imaginary), or (…, u̅_left, u̅_right, m̅) where each frame has a rest curvature of its
-own and the joint a rest twist: E is then that of ω^left − u̅_left, ω^right − u̅_right and m − m̅. The derivatives come as
-(g_left, g_right, H_left, H_right, H_across): two 3-tuples, two symmetric 6-tuples and a 9-tuple [left row, right column].
+curvature. Stiffness is passed as a tuple: isotropic (α/l̄, β/l̄), general (B_left, B_right, 1/l̄, β/l̄, u̅_left, u̅_right, m̅) with
+B = (11, 22, 12) and the rest curvature, of each frame, u̅ = ω̄ l̄/2 as (real, imaginary), and twist of the joint: E is that of
+ω^left − u̅_left, ω^right − u̅_right and m − m̅. The derivatives come as (g_left, g_right, H_left, H_right, H_across): two
+3-tuples, two symmetric 6-tuples and a 9-tuple [left row, right column].
 """
 
 import taichi as ti
 
 from doo_ti.physics.number import device_functions
 from doo_ti.physics.quaternion import relative_rotation
-from doo_ti.physics.tuples import cross, dot, minus, negated, picked, repeated, scaled, traced
+from doo_ti.physics.tuples import cross, dot, minus, negated, repeated, scaled, traced
 
 
 @ti.func
@@ -92,18 +92,6 @@ def _applied(b, u):
     return (b[0] * u[0] + b[2] * u[1], b[2] * u[0] + b[1] * u[1])
 
 
-@picked
-def _rest_right(stiffness):
-    """u̅ of the right frame; that of the left one is the fifth of ``stiffness``."""
-    return stiffness[5] if len(stiffness) > 5 else stiffness[4]
-
-
-@traced
-def _twist(m, stiffness):
-    """m − m̅."""
-    return m - stiffness[6] if len(stiffness) > 5 else m
-
-
 @ti.func
 def strain(x, rest):
     """u = ω − u̅ with ω = −2i X."""
@@ -113,11 +101,11 @@ def strain(x, rest):
 @ti.func
 def general_energy(x, y, m, stiffness):
     left = strain(x, stiffness[4])
-    right = strain(y, _rest_right(stiffness))
+    right = strain(y, stiffness[5])
     f = _applied(stiffness[0], left)
     g = _applied(stiffness[1], right)
     bend = left[0] * f[0] + left[1] * f[1] + right[0] * g[0] + right[1] * g[1]
-    twist = _twist(m, stiffness)
+    twist = m - stiffness[6]
     return 0.5 * stiffness[2] * bend + stiffness[3] * twist * twist
 
 
@@ -169,8 +157,8 @@ def first_variation(x, y, inverse, turn):
 def general_gradient(x, y, inverse, turn, m, stiffness):
     """⟨μ, δX⟩ + ⟨ν, δY⟩ + M δm with μ, ν the moments of the left and right frame and M = 2 b m."""
     mu = moment(stiffness[0], strain(x, stiffness[4]), stiffness[2])
-    nu = moment(stiffness[1], strain(y, _rest_right(stiffness)), stiffness[2])
-    t = 2.0 * stiffness[3] * _twist(m, stiffness)
+    nu = moment(stiffness[1], strain(y, stiffness[5]), stiffness[2])
+    t = 2.0 * stiffness[3] * (m - stiffness[6])
     return gradient_of_moments(mu, nu, t, x, y, inverse, turn)
 
 
@@ -206,10 +194,10 @@ def general_hessian(x, y, inverse, turn, m, stiffness):
     """Σ (δu)ᵀB(δu)/l̄ + 2b δm² + ⟨μ, δ²X⟩ + ⟨ν, δ²Y⟩ + M δ²m."""
     b_left, b_right = stiffness[0], stiffness[1]
     mu = moment(b_left, strain(x, stiffness[4]), stiffness[2])
-    nu = moment(b_right, strain(y, _rest_right(stiffness)), stiffness[2])
+    nu = moment(b_right, strain(y, stiffness[5]), stiffness[2])
     f = 4.0 * stiffness[2]
     b2 = 2.0 * stiffness[3]
-    h = 0.5 * b2 * _twist(m, stiffness)  # M/2
+    h = 0.5 * b2 * (m - stiffness[6])  # M/2
     dx, dy, xx, yy, c = first_variation(x, y, inverse, turn)
     xxx, yyy = _times(xx, x), _times(yy, y)
     c_bar = (c[0], 0.0 - c[1])
@@ -311,8 +299,8 @@ class PairEnergy:
             return (left.bend, right.bend, inverse, right.twist * inverse) + self.rest(right)
 
     def rest(self, edge):
-        """What stiffness ends with, of the vertex where an edge begins: u̅, the same for both frames."""
-        return (edge.rest,)
+        """What stiffness ends with, of the vertex where an edge begins: u̅, here the same for both frames, and m̅."""
+        return (edge.rest, edge.rest, 0.0)
 
     def bent(self, b):
         """(X, Y, 1/s, m, e^{im}) of the numbers ``bent`` of an edge."""

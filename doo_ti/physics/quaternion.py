@@ -124,22 +124,19 @@ def from_matrix(m):
 
     Each row of 4 q qᵀ is q up to length: the first serves unless the scalar is small, the largest always.
     """
-    w, x, y, z = (1.0 + m[0] + m[4] + m[8], m[7] - m[5], m[2] - m[6], m[3] - m[1])
+    wx, wy, wz = (m[7] - m[5], m[2] - m[6], m[3] - m[1])
+    most = 1.0 + m[0] + m[4] + m[8]
+    q = variable((most, wx, wy, wz))
     if not m[0] + m[4] + m[8] > 0.0:
-        ww = w
         xx, yy, zz = (1.0 + m[0] - m[4] - m[8], 1.0 - m[0] + m[4] - m[8], 1.0 - m[0] - m[4] + m[8])
-        wx, wy, wz = (x, y, z)
         xy, xz, yz = (m[1] + m[3], m[2] + m[6], m[5] + m[7])
-        most = ww
         if xx > most:
-            most = xx
-            w, x, y, z = (wx, xx, xy, xz)
+            q, most = (wx, xx, xy, xz), xx
         if yy > most:
-            most = yy
-            w, x, y, z = (wy, xy, yy, yz)
+            q, most = (wy, xy, yy, yz), yy
         if zz > most:
-            w, x, y, z = (wz, xz, yz, zz)
-    return normalised((w, x, y, z))
+            q = (wz, xz, yz, zz)
+    return normalised(q)
 
 
 # --- angles ---

@@ -9,7 +9,7 @@ A tuple cannot be assigned again, which loops need: :func:`variable` makes a :cl
 :func:`record` gives names to several.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import wraps
 
 import taichi as ti
@@ -123,37 +123,32 @@ def extended(fields: Record, **more) -> Record:
     return Record({**fields.__dict__, **more})
 
 
-@picked
-def choose(fields, condition, **values) -> None:
-    """Assign ``values`` to the fields of those names where the condition holds."""
+def _reassign(fields, values: dict, changed: Callable) -> None:
+    """Assign to the fields named in ``values`` what becomes of their numbers, one by one: ``changed`` (old, value)."""
     for name, value in values.items():
         field = getattr(fields, name)
         if isinstance(field, Sequence):
-            field._assign(expr_init(tuple(ti.select(condition, new, old) for new, old in zip(value, field, strict=True))))
+            field._assign(expr_init(tuple(changed(old, own) for old, own in zip(field, value, strict=True))))
         else:
-            field._assign(ti.select(condition, value, field))
+            field._assign(changed(field, value))
+
+
+@picked
+def choose(fields, condition, **values) -> None:
+    """Assign ``values`` to the fields of those names where the condition holds."""
+    _reassign(fields, values, lambda old, new: ti.select(condition, new, old))
 
 
 @picked
 def add(fields, **values) -> None:
     """Add ``values`` to the fields of those names."""
-    for name, value in values.items():
-        field = getattr(fields, name)
-        if isinstance(field, Sequence):
-            field._assign(expr_init(tuple(old + new for new, old in zip(value, field, strict=True))))
-        else:
-            field._assign(field + value)
+    _reassign(fields, values, lambda old, more: old + more)
 
 
 @picked
 def put_lane(fields: Record, with_lane, slot, **values) -> None:
-    """Lane ``slot`` of the fields of those names, by ``with_lane`` of :class:`doo_ti.physics.number.Lanes`."""
-    for name, value in values.items():
-        field = getattr(fields, name)
-        if isinstance(field, Variable):
-            field._assign([with_lane(item, slot, one) for item, one in zip(field, value, strict=True)])
-        else:
-            field._assign(with_lane(field, slot, value))
+    """Lane ``slot`` of the fields of those names, by ``with_lane`` of :class:`doo_ti.physics.number.Number`."""
+    _reassign(fields, values, lambda old, new: with_lane(old, slot, new))
 
 
 # --- of any size ----------------------------------------------------------------------------------------------------

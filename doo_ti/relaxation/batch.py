@@ -87,15 +87,14 @@ def _launch_newton(table: Tables, rods, options: newton.Newton, bits: int, frame
 def _launch_kernel(table: Tables, isotropic: bool, any_ends: bool, rods, policy: np.ndarray, options: newton.Newton,
                    bits: int, frames, results) -> None:
     """:func:`_launch_newton` over rods of one kernel."""
-    contact, more, kind = table.contact, {}, None
+    contact, more = table.contact, {}
     external = Nothing() if table.external is None and any_ends else table.external
     if external is not None:
-        more, kind = {"numbers": external.numbers(), "field": external.field()}, type(external)
-    kernel = partial(newton.newton_kernel, isotropic=isotropic, external=kind, any_ends=any_ends)
+        more = {"numbers": external.numbers(), "field": external.field()}
     if contact is not None:
         more |= contact.arguments(contact.forces, options.gap_tolerance)
-        kernel = partial(newton.contact_kernel, isotropic=isotropic, external=kind, has_grid=contact.has_grid,
-                         itself=contact.itself)
+    kernel = partial(newton.newton_kernel, isotropic=isotropic, external=None if external is None else type(external),
+                     any_ends=any_ends, contact=None if contact is None else (contact.has_grid, contact.itself))
     launch(layout_for(len(rods), bits, contact is not None and contact.itself), kernel, start=table.start.reshape(-1),
            rest_length=table.rest_length, clamp=table.clamp, material=table.material, rods=rods, policy=policy,
            frames=frames.reshape(-1), results=results, **more)

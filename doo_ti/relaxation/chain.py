@@ -6,7 +6,7 @@ Its Newton system is solved by :mod:`doo_ti.relaxation.elimination` and :mod:`do
 from functools import cache
 
 import taichi as ti
-from taichi.lang.impl import subscript
+from taichi.lang.impl import expr_init, subscript
 
 from doo_ti.physics.algebra import absolute, on_diagonal, solve_symmetric
 from doo_ti.physics.number import Layout, Scratch, device_functions
@@ -48,6 +48,8 @@ def rod_layout(external_start: Layout | None = None) -> Layout:
 
 STAND_INS = {"start": "frames", "numbers": "material", "field": "material", "kinds": "rods", "grids": "material"}
 """What stands in for an array that a kernel does not take: Taichi's functions must be given one, and nothing reads it."""
+OF_RODS = ("target", "length_unit", "closed", "free", "released", "total", "longest", "stiffness", "softest", "evenness",
+           "shift_shares", "gravity", "anchor")  # what sweeps read of a rod more than once
 REGULAR_LOOSE = 1e-6  # share of AᵀA's trace that is added to it
 EASILY_TWISTED = 1e-2  # β over α, below which twisting is much easier than bending
 
@@ -81,12 +83,12 @@ class Chain(PairEnergy):
     """
 
     def __init__(self, number, isotropic: bool, stride: int, edge: Layout | None = None, rod: Layout = ROD):
-        self.number, self.isotropic = number, isotropic
+        self.number, self.width, self.isotropic = number, number.width, isotropic
         self.memory = Scratch(number, stride)
         self.rod_layout, self.edge_layout = rod, edge or edge_layout(isotropic)
         self.functions, self.has_coarse, self.pulls_start = None, False, False  # of an external energy
         self.has_border, self.touches = False, False
-        self.width, (self.largest, self.lane, self.with_lane, self.constant) = number.width, number.lanes()
+        self.largest, self.lane, self.with_lane, self.constant = number.largest, number.lane, number.with_lane, number.constant
         self.twist_angle = twist_angle_function(number)
         # What makes AᵀA regular: a share of its trace, and where that is zero a number whose cube, the determinant, is none
         # that rounds to zero. Without closure the edges of a straight rod are parallel; with it they are not; λ must be exact.
@@ -127,18 +129,14 @@ class Chain(PairEnergy):
         """The view of an edge of the rods at ``head``."""
         return head.part(self.edge_layout, len(self.rod_layout) + e * len(self.edge_layout))
 
+    @picked
     def rods(self, tables, head, coarse):
         """The record of the rods at ``head``, with the tables of an external energy if there is one."""
-        loose = 0.0 * head.closed
-        if ti.static(self.has_border):
-            loose = head.loose
+        zero = expr_init(0.0 * head.closed)
         return record(
-            head=head, edges=tables.rest_length.shape[1], loose=loose, contacts=tables.contacts,
-            kinds=tables.kinds, grids=tables.grids, obstacles=tables.kinds.shape[0], target=head.target,
-            length_unit=head.length_unit, closed=head.closed, spins_first=0.0 * head.closed, free=head.free,
-            released=head.released, total=head.total, longest=head.longest, stiffness=head.stiffness, softest=head.softest,
-            evenness=head.evenness, shift_shares=head.shift_shares, gravity=head.gravity, anchor=head.anchor,
-            numbers=tables.numbers, field=tables.field, coarse=coarse)
+            head=head, edges=tables.rest_length.shape[1], loose=head.loose if self.has_border else zero, spins_first=zero,
+            contacts=tables.contacts, kinds=tables.kinds, grids=tables.grids, obstacles=tables.kinds.shape[0],
+            numbers=tables.numbers, field=tables.field, coarse=coarse, **{name: getattr(head, name) for name in OF_RODS})
 
     def spinning_first(self, rod, far):
         """One where a step is to turn frames by spins that are made before tilts, zero where by rotation vectors; ``far``: one

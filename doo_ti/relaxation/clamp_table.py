@@ -6,7 +6,7 @@ import numpy as np
 import taichi as ti
 
 from doo_ti.physics.algebra import absolute, larger, row, transposed
-from doo_ti.physics.number import Number, device_functions, read, write
+from doo_ti.physics.number import Number, device_functions, in_f64, read, write
 from doo_ti.physics.quaternion import from_matrix, normalised, tangent, turned_to
 from doo_ti.physics.tuples import cross, dot, minus, record, repeated, scaled, variable
 from doo_ti.relaxation import tables as of
@@ -110,12 +110,9 @@ class ClampReader:
         kind_start, kind_end = tables.states[s, KIND_START], tables.states[s, KIND_END]
         closed = (kind_start >= POSITION) & (kind_end >= POSITION)
         released = (kind_start < POSITION) & (kind_end >= POSITION)
-        tables.clamp[s, of.CLOSED], tables.clamp[s, of.RELEASED] = ti.cast(closed, ti.f64), ti.cast(released, ti.f64)
-        tables.clamp[s, of.SPIN_START] = ti.cast(kind_start < FRAME, ti.f64)
-        tables.clamp[s, of.SPIN_END] = ti.cast(kind_end < FRAME, ti.f64)
-        tables.clamp[s, of.TILT_START] = ti.cast(kind_start < TANGENT, ti.f64)
-        tables.clamp[s, of.TILT_END] = ti.cast(kind_end < TANGENT, ti.f64)
-        tables.clamp[s, of.TILT_INNER], tables.clamp[s, of.LOOSE] = 1.0, 0.0
+        flags = (closed, kind_start < FRAME, kind_end < FRAME, kind_start < TANGENT, kind_end < TANGENT, True, released)
+        write(tables.clamp, s, of.CLOSED, values=in_f64(flags))  # and SPIN_START … RELEASED
+        tables.clamp[s, of.LOOSE] = 0.0
         anchor = variable(read(tables.given, s, ORIGIN))
         if kind_start >= POSITION:
             anchor = read(tables.given, s, START_POSITION)
@@ -129,8 +126,7 @@ class ClampReader:
             hanging = size.standing
         write(tables.clamp, s, of.TARGET, values=line)
         write(tables.clamp, s, of.ANCHOR, values=anchor)
-        tables.clamp[s, of.TOTAL], tables.clamp[s, of.LONGEST] = size.total, size.longest
-        tables.clamp[s, of.SHORTEST_PAIR], tables.clamp[s, of.HANGING] = size.shortest_pair, hanging
+        write(tables.clamp, s, of.TOTAL, values=(size.total, size.longest, size.shortest_pair, hanging))
         frame_start, frame_end = (read(tables.given, s, START_FRAME, count=9), read(tables.given, s, END_FRAME, count=9))
         first = held_frame(kind_start, frame_start, frame_of(tables.start, s, 0))
         last = held_frame(kind_end, frame_end, frame_of(tables.start, s, tables.start.shape[1] - 1))

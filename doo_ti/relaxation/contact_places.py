@@ -25,7 +25,7 @@ class ContactPlaces:
     itself = False
 
     def __init__(self, number, has_grid: bool, moves: bool = False):
-        self.largest, self.moves, self.bits = number.lanes().largest, moves, number.bits
+        self.largest, self.moves, self.bits = number.largest, moves, number.bits
         self.distance = Distance(number, has_grid)
         # What the places of vertices are wrong by, as a share of the rod's length.
         self.rounding = 2e-7 if number.bits == 32 else 1e-13

@@ -17,7 +17,7 @@ import taichi as ti
 from doo_ti.physics.number import Number, Scratch, device_functions, write
 from doo_ti.physics.tuples import choose, picked, put_lane, record, repeated
 from doo_ti.relaxation import tables as of
-from doo_ti.relaxation.kernel_factory import INDEX1, INDEX2, SCRATCH, TABLE1, TABLE2, TABLE3, loop_kernel
+from doo_ti.relaxation.kernel_factory import INDEX1, RODS, TABLE1, TABLE2, TABLE3, loop_kernel
 from doo_ti.relaxation.loading import stiffness_scale
 from doo_ti.relaxation.newton import QueueLoop
 from doo_ti.relaxation.vertex_chain import VERTEX, VertexChain
@@ -71,7 +71,7 @@ class DescentLoop(QueueLoop):
 
     def __init__(self, number: Number, stride: int):
         self.sweep, self.memory = VertexChain(number), Scratch(number, stride)
-        self.largest, self.lane, self.with_lane, self.constant = number.lanes()
+        self.largest, self.lane, self.with_lane, self.constant = number.largest, number.lane, number.with_lane, number.constant
         self.width, self.scalar = number.width, number.scalar
         self.rounding = 2e-6 if number.bits == 32 else 1e-13
         self.converged, self.limit = int(Status.CONVERGED), int(Status.ITERATION_LIMIT)
@@ -181,16 +181,11 @@ class DescentLoop(QueueLoop):
         lane.finished = ti.select((ended | out_of_trips | stuck | lost) & (lane.active > 0.5), one, zero)
 
 
-ARGUMENTS = {
+ARGUMENTS = RODS | {
     "vertices": TABLE3,  # [row, vertex, 3] mm from the anchor
     "start": TABLE3,  # [row, edge, 4] frames
-    "rest_length": TABLE2,  # [1 or configuration, edge] mm
-    "clamp": TABLE2,  # [configuration, CLAMP_COLUMNS]
-    "material": TABLE2,  # [material, STIFFNESS + 1 or edge · STIFFNESS_COLUMNS]
     "up": TABLE1,  # [3] unit vector against gravity
-    "rods": INDEX2,  # [rod, ROD_COLUMNS]
     "tolerance": ti.f64, "max_iterations": ti.i32, "largest_move": ti.f64,
-    "threads": ti.i32, "scratch": SCRATCH,
     "queue": INDEX1,  # [NEXT, TRIPS, LANES + thread · lane] zero
     "frames": TABLE3,  # [rod, edge, 4] out
     "results": TABLE2,  # [rod, RESULTS] out

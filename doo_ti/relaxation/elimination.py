@@ -20,7 +20,7 @@ from doo_ti.physics.algebra import absolute, largest_of, on_diagonal, row_scaled
 from doo_ti.physics.number import device_functions
 from doo_ti.physics.pair import closure_rows, linear_gradient, linear_hessian
 from doo_ti.physics.quaternion import directors
-from doo_ti.physics.tuples import chosen, dot, minus, negated, plus, products, record, repeated, scaled, variable
+from doo_ti.physics.tuples import chosen, dot, minus, negated, picked, plus, products, record, repeated, scaled, variable
 from doo_ti.relaxation.chain import Chain
 
 
@@ -126,7 +126,7 @@ class Elimination(Chain):
         for back in range(rod.edges):
             e = rod.edges - 1 - back
             edge = self.edge(rod.head, e)
-            right = self.without_border(edge, edge.border, found.change)
+            right = algebra.minus_combination(edge.rotation, edge.border, found.change)
             decrement = decrement + algebra.squared(edge.pivots, right)
             w = self.solved_edge(edge, right, w)
             largest = self.longer(largest, w)
@@ -139,6 +139,16 @@ class Elimination(Chain):
         """The record of what an elimination sums up, before it."""
         zero = 0.0 * rod.total
         return record(squared=zero, scale=zero, negative=zero, slope=zero, energy=zero, magnitude=zero)
+
+    def schur_complement(self, rod):
+        """S = Σ W_Aᵀ D⁻¹ W_A, vertex 0 included where it is free."""
+        s = variable(repeated(0.0 * rod.total, 6))
+        if ti.static(self.has_border):
+            s = algebra.symmetric_gram(rod.head.drift_pivots, rod.head.drift_border)
+        for e in range(rod.edges):
+            edge = self.edge(rod.head, e)
+            s = plus(s, algebra.symmetric_gram(edge.pivots, self.closure_columns(edge)))
+        return s
 
     def result(self, found, change, positive):
         """What :meth:`eliminate` returns of what was ``found``, of δλ and of the positive eigenvalues of S."""
@@ -164,9 +174,10 @@ class Elimination(Chain):
         edge.pivots = (f[0], f[1], f[2], f[3], f[4], f[5])
         edge.rotation, edge.neighbour, edge.border = right, neighbour, border
 
-    def without_border(self, edge, columns, border):
-        """W_r − W_border border of an edge, whose W_border has these ``columns``."""
-        return algebra.minus_combination(edge.rotation, columns, border)
+    @picked
+    def closure_columns(self, edge):
+        """W_A of an edge."""
+        return edge.force_border if self.has_border else edge.border
 
     def solved_edge(self, edge, right, w):
         """ω = L⁻ᵀ D⁻¹ (``right`` − W_U ω_neighbour) of an edge, into its place."""

@@ -15,11 +15,13 @@ from dataclasses import dataclass, field
 from typing import Annotated, ClassVar, NamedTuple, Protocol
 
 import numpy as np
+import taichi as ti
 from numpy.typing import ArrayLike
 
-from doo_ti.physics.number import Layout, Number
+from doo_ti.physics.number import Layout, Number, read
+from doo_ti.physics.tuples import dot, minus, scaled
 from doo_ti.rod.material import LARGEST, STANDARD_GRAVITY, Material
-from doo_ti.system.arguments import short_repr, typed
+from doo_ti.system.arguments import owning, short_repr, typed
 from doo_ti.system.errors import InputError
 
 
@@ -79,8 +81,6 @@ class External(Protocol):
     @staticmethod
     def functions(number: Number) -> ExternalFunctions:
         """For one kind of number."""
-        import taichi as ti
-
         @ti.func
         def load(own, numbers: ti.template(), row, edge, scale):
             pass
@@ -88,7 +88,7 @@ class External(Protocol):
         return ExternalFunctions(load, None)
 
 
-@typed
+@owning
 @dataclass(frozen=True)
 class Springs(External):
     """½ k |x_i − p_i|² at every vertex: the simplest external energy.
@@ -108,14 +108,10 @@ class Springs(External):
     at_vertices: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
-        points, stiffness = (np.array(value, dtype=np.float64) for value in (self.points, self.stiffness))
-        if not np.isfinite(points).all():
+        if not np.isfinite(self.points).all():
             raise InputError("Springs", "points", "not finite", "give finite points, and stiffness 0 where there is none")
-        if not (np.isfinite(stiffness).all() and (stiffness >= 0).all()):
+        if not (np.isfinite(self.stiffness).all() and (self.stiffness >= 0).all()):
             raise InputError("Springs", "stiffness", "negative or not finite", "give zero or more")
-        for name, value in (("points", points), ("stiffness", stiffness)):
-            value.setflags(write=False)
-            object.__setattr__(self, name, value)
 
     @property
     def count(self) -> int:
@@ -129,7 +125,7 @@ class Springs(External):
 
     def numbers(self) -> np.ndarray:
         """(A, V, 4): point and stiffness."""
-        return np.ascontiguousarray(np.concatenate([self.points, self.stiffness[..., None]], axis=-1))
+        return np.concatenate([self.points, self.stiffness[..., None]], axis=-1, dtype=np.float64)
 
     def energy_at_start(self, start: np.ndarray, index: np.ndarray) -> np.ndarray:
         """(R,) energy at vertex 0 in ``start`` (R, 3), which no kernel moves."""
@@ -138,25 +134,19 @@ class Springs(External):
     @staticmethod
     def functions(number: Number) -> ExternalFunctions:
         """On the device: each edge carries the spring of the vertex where it ends."""
-        import taichi as ti
-
-        from doo_ti.physics.tuples import minus
-
         @ti.func
         def load(own, numbers: ti.template(), row, edge, scale):
-            own.point = (numbers[row, edge + 1, 0], numbers[row, edge + 1, 1], numbers[row, edge + 1, 2])
+            own.point = read(numbers, row, edge + 1, 0)
             own.stiffness = numbers[row, edge + 1, 3] * scale
 
         @ti.func
         def evaluate(own, numbers: ti.template(), field: ti.template(), start, end, coarse):
-            k = own.stiffness
-            d0, d1, d2 = minus(end, own.point)
-            energy = 0.5 * k * (d0 * d0 + d1 * d1 + d2 * d2)
-            gradient = (k * d0, k * d1, k * d2)
-            none = 0.0 * k
+            k, none = own.stiffness, 0.0 * own.stiffness
+            apart = minus(end, own.point)
+            gradient = scaled(apart, k)
             curvature = (k, none, none, k, none, k)
             mixed = (k, none, none, none, k, none, none, none, k)
-            return energy, gradient, gradient, curvature, mixed, curvature
+            return 0.5 * k * dot(apart, apart), gradient, gradient, curvature, mixed, curvature
 
         return ExternalFunctions(load, evaluate)
 
@@ -165,7 +155,7 @@ class Nothing(External):
     """No energy: for rods that only contact loads."""
 
 
-@typed
+@owning
 @dataclass(frozen=True)
 class PointLoads(External):
     """−F_i · x_i at every vertex: dead forces, and masses that hang there. An external energy, alone or together with springs.
@@ -190,18 +180,15 @@ class PointLoads(External):
     at_vertices: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
-        force, mass = (np.array(value, dtype=np.float64) for value in (self.force, self.mass))
-        for name, value in (("force", force), ("mass", mass)):
+        for name, value in (("force", self.force), ("mass", self.mass)):
             if not (np.abs(value) <= LARGEST).all():
                 raise InputError("PointLoads", name, f"not finite, or beyond {LARGEST:g}", "give finite numbers")
-        if not (mass >= 0).all():
-            raise InputError("PointLoads", "mass", f"{mass.min():g} is negative", "give zero or more")
-        if self.springs is not None and self.springs.stiffness.shape != force.shape[:2]:
-            raise InputError("PointLoads", "springs", f"those of {self.springs.stiffness.shape} vertices",
-                             f"give {force.shape[:2]}")
-        for name, value in (("force", force), ("mass", np.array(np.broadcast_to(mass, force.shape[:2])))):
-            value.setflags(write=False)
-            object.__setattr__(self, name, value)
+        if not np.all(self.mass >= 0):
+            raise InputError("PointLoads", "mass", f"{np.min(self.mass):g} is negative", "give zero or more")
+        rows = self.force.shape[:2]
+        if self.springs is not None and self.springs.stiffness.shape != rows:
+            raise InputError("PointLoads", "springs", f"those of {self.springs.stiffness.shape} vertices", f"give {rows}")
+        object.__setattr__(self, "mass", np.broadcast_to(np.asarray(self.mass, dtype=np.float64), rows))
 
     @classmethod
     @typed
@@ -249,7 +236,7 @@ class PointLoads(External):
     def numbers(self) -> np.ndarray:
         """(A, V, 7): point and stiffness of a spring, and the force."""
         springs = np.zeros((*self.mass.shape, 4)) if self.springs is None else self.springs.numbers()
-        return np.ascontiguousarray(np.concatenate([springs, self.whole_force], axis=-1))
+        return np.concatenate([springs, self.whole_force], axis=-1, dtype=np.float64)
 
     def energy_at_start(self, start: np.ndarray, index: np.ndarray) -> np.ndarray:
         """(R,) energy at vertex 0 in ``start`` (R, 3), which no kernel moves."""
@@ -259,16 +246,12 @@ class PointLoads(External):
     @staticmethod
     def functions(number: Number) -> ExternalFunctions:
         """On the device: those of springs, and the force of the vertex where an edge ends."""
-        import taichi as ti
-
-        from doo_ti.physics.tuples import dot, minus, scaled
-
         springs = Springs.functions(number)
 
         @ti.func
         def load(own, numbers: ti.template(), row, edge, scale):
             springs.load(own, numbers, row, edge, scale)
-            own.force = scaled((numbers[row, edge + 1, 4], numbers[row, edge + 1, 5], numbers[row, edge + 1, 6]), scale)
+            own.force = scaled(read(numbers, row, edge + 1, 4), scale)
 
         @ti.func
         def evaluate(own, numbers: ti.template(), field: ti.template(), start, end, coarse):

@@ -16,6 +16,13 @@ TABLE1, TABLE2, TABLE3, TABLE4 = (ti.types.ndarray(dtype=ti.f64, ndim=size) for 
 INDEX1, INDEX2 = (ti.types.ndarray(dtype=ti.i32, ndim=size) for size in (1, 2))
 FIELD = ti.types.ndarray(dtype=ti.f32, ndim=1)
 SCRATCH = "scratch"  # the type of an array of a kernel's own numbers
+RODS = {  # of the kernels that take rods as :class:`.Tables` has them
+    "rest_length": TABLE2,  # [1 or configuration, edge] mm
+    "clamp": TABLE2,  # [configuration, CLAMP_COLUMNS]
+    "material": TABLE2,  # [material, STIFFNESS + 1 or edge · STIFFNESS_COLUMNS]
+    "rods": INDEX2,  # [rod, ROD_COLUMNS]
+    "threads": ti.i32, "scratch": SCRATCH,
+}
 
 SOURCE = """def {name}({names}):
     ti.loop_config(block_dim=block, serialize=serial)

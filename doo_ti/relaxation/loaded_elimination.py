@@ -243,17 +243,9 @@ class LoadedElimination(LooseStart):
             size = self.longer(size, w)
         return ti.sqrt(largest_of(largest, size)), ti.sqrt(size), decrement
 
-    def schur_complement(self, rod):
-        """S = Σ W_λᵀ D⁻¹ W_λ, vertex 0 included where it is free."""
-        s = variable(algebra.symmetric_gram(rod.head.drift_pivots, rod.head.drift_border))
-        for e in range(rod.edges):
-            edge = self.edge(rod.head, e)
-            s = plus(s, algebra.symmetric_gram(edge.pivots, edge.force_border))
-        return s
-
     def without_multiplier(self, edge, change):
         """W_r − W_λ δλ of an edge."""
         if ti.static(self.has_border):
-            return self.without_border(edge, edge.force_border, change)
+            return algebra.minus_combination(edge.rotation, edge.force_border, change)
         else:
             return edge.rotation

@@ -18,7 +18,7 @@ from doo_ti.relaxation import tables as of
 from doo_ti.relaxation.contacts import RodContacts
 from doo_ti.relaxation.dense_elimination import DenseElimination
 from doo_ti.relaxation.elimination import Elimination
-from doo_ti.relaxation.kernel_factory import FIELD, INDEX1, INDEX2, SCRATCH, TABLE1, TABLE2, TABLE3, TABLE4, loop_kernel
+from doo_ti.relaxation.kernel_factory import FIELD, INDEX1, RODS, TABLE1, TABLE2, TABLE3, TABLE4, loop_kernel
 from doo_ti.relaxation.loaded_elimination import LoadedElimination
 from doo_ti.relaxation.loading import LANES, NEXT, TRIPS, Loading
 from doo_ti.relaxation.newton_trip import NewtonTrip
@@ -112,8 +112,7 @@ class NewtonLoop(QueueLoop, NewtonTrip):
             self.sweep.contacts.unload_forces(tables, slot, row, self.loading.force_unit(own))
         status = self.lane(lane.status, slot)
         if status == self.not_finite or status == self.infeasible:
-            for k in ti.static(range(of.RESULTS)):
-                tables.results[row, k] = ti.math.nan
+            write(tables.results, row, 0, values=repeated(ti.math.nan, of.RESULTS))
             if ti.static(self.touches):
                 for v, k in ti.ndrange(tables.forces.shape[1], 3):
                     tables.forces[row, v, k] = 0.0
@@ -131,8 +130,7 @@ class NewtonLoop(QueueLoop, NewtonTrip):
                 force = 0.0 - ti.cast(self.lane(lane.multiplier[k], slot), ti.f64)
                 tables.results[row, of.FORCE + k] = force * unit / length_unit
             miss = (self.lane(lane.miss[0], slot), self.lane(lane.miss[1], slot), self.lane(lane.miss[2], slot))
-            squares = miss[0] ** 2 + miss[1] ** 2 + miss[2] ** 2
-            tables.results[row, of.CLOSURE] = ti.sqrt(squares) / total
+            tables.results[row, of.CLOSURE] = ti.sqrt(dot(miss, miss)) / total
             target = in_f64(own.target)
             along = self.lane(lane.along, slot)
             if along > 0.0:
@@ -222,15 +220,9 @@ TOLERANCES = {32: 9.9e-5, 64: 9.9e-8}
 
 
 # What kernels are given.
-NEWTON = {
+NEWTON = RODS | {
     "start": TABLE1,  # [start · edge · 4]
-    "rest_length": TABLE2,  # [1 or configuration, edge] mm
-    "clamp": TABLE2,  # [configuration, CLAMP_COLUMNS]
-    "material": TABLE2,  # [material, STIFFNESS + 1 or edge · STIFFNESS_COLUMNS]
-    "rods": INDEX2,  # [rod, ROD_COLUMNS]
     "policy": TABLE1,  # [POLICY_COLUMNS] of :mod:`doo_ti.relaxation.newton_policy`
-    "threads": ti.i32,
-    "scratch": SCRATCH,
     "queue": INDEX1,  # [NEXT, TRIPS, LANES + thread · lane] zero
     "frames": TABLE1,  # [row · edge · 4] in where a rod starts from there, and out
     "results": TABLE2,  # [row, RESULTS] out
@@ -252,8 +244,8 @@ OBSTACLES = {
 
 
 @cache
-def newton_kernel(number: Number, stride: int, block: int, isotropic: bool, external: type | None = None,
-                  any_ends: bool = False):
+def newton_kernel(number: Number, stride: int, block: int, isotropic: bool, external: type | None, any_ends: bool,
+                  contact: tuple[bool, bool] | None):
     """The kernel, compiled on first use, for one kind of number, of material and of external energy.
 
     stride: distance between the numbers of a thread in scratch, 1 on a CPU, at least the number of threads on a GPU.
@@ -261,19 +253,15 @@ def newton_kernel(number: Number, stride: int, block: int, isotropic: bool, exte
     external: the class of the external energy, whose numbers and field the kernel then takes as two more arrays.
     any_ends: some rods under the external energy have vertex 0 free or the far end held. Without these the kernel is smaller
         and faster.
+    contact: of rods that may touch something, under an external energy and with any ends, whether there are grids and whether
+        they may touch themselves.
     """
+    if contact is not None:
+        has_grid, itself = contact
+        contacts = SelfContacts(number, has_grid) if itself else RodContacts(number, has_grid, takes_met=True)
+        sweep = (DenseLoadedElimination if itself else LoadedElimination)(number, isotropic, stride, external, True, contacts)
+        return loop_kernel("newton_in_contact", number, NEWTON | EXTERNAL | OBSTACLES, NewtonLoop(sweep), block, brief=True)
     if external is None:
         return loop_kernel("newton", number, NEWTON, NewtonLoop(Elimination(number, isotropic, stride)), block)
     sweep = LoadedElimination(number, isotropic, stride, external, any_ends)
     return loop_kernel("newton_under_load", number, NEWTON | EXTERNAL, NewtonLoop(sweep), block)
-
-
-@cache
-def contact_kernel(number: Number, stride: int, block: int, isotropic: bool, external: type, has_grid: bool,
-                   itself: bool):
-    """The same for rods that may touch obstacles, with ``has_grid`` grids, or ``itself``, under an external energy."""
-    if itself:
-        sweep = DenseLoadedElimination(number, isotropic, stride, external, True, SelfContacts(number, has_grid))
-    else:
-        sweep = LoadedElimination(number, isotropic, stride, external, True, RodContacts(number, has_grid, takes_met=True))
-    return loop_kernel("newton_in_contact", number, NEWTON | EXTERNAL | OBSTACLES, NewtonLoop(sweep), block, brief=True)

@@ -42,7 +42,7 @@ class NewtonTrip:
     def __init__(self, sweep: Elimination):
         number = sweep.number
         self.sweep, self.has_coarse, self.touches = sweep, sweep.has_coarse, sweep.touches
-        self.largest, self.lane, self.with_lane, self.constant = number.lanes()
+        self.largest, self.lane, self.with_lane, self.constant = number.largest, number.lane, number.with_lane, number.constant
         self.scalar = number.scalar
         single = number.bits == 32
         self.rounding = 2e-6 if single else 1e-10

@@ -14,7 +14,7 @@ from doo_ti.physics import pair
 from doo_ti.physics.algebra import applied, full, transposed
 from doo_ti.physics.number import Layout, device_functions, read
 from doo_ti.physics.pair import linear_gradient, linear_hessian, moment, shift_of_end, strain
-from doo_ti.physics.quaternion import first_director, second_director, tangent
+from doo_ti.physics.quaternion import first_director, rotated, second_director, tangent
 from doo_ti.physics.tuples import dot, minus, plus, record, scaled, variable
 from doo_ti.relaxation import chain
 
@@ -193,10 +193,6 @@ class ParameterGradient(chain.Chain):
             part = right
         return part
 
-    def in_world(self, edge, v):
-        """A vector in the edge's axes as one in the world."""
-        return plus(plus(scaled(edge.t, v[0]), scaled(edge.m1, v[1])), scaled(edge.m2, v[2]))
-
     def body_moment(self, rod, edge, own, multiplier):
         """g + Aλ of the end's ``edge`` in its own axes, ``own`` what its pair adds to g."""
         l1, l2 = linear_gradient(self.pull_on(rod, edge, multiplier), edge.length, edge.m1, edge.m2)
@@ -207,7 +203,8 @@ class ParameterGradient(chain.Chain):
         e, joint, remaining = self.end_places(rod, end)
         pair = self.edge(rod.head, joint).external.pair
         edge = self.seen(rod, self.edge(rod.head, e), remaining)
-        return self.in_world(edge, self.body_moment(rod, edge, self.own_part(end, pair.left, pair.right), multiplier))
+        moment = self.body_moment(rod, edge, self.own_part(end, pair.left, pair.right), multiplier)
+        return rotated(self.edge(rod.head, e).frame, moment)
 
     def moment_change(self, rod, end, column, change):
         """The derivative of an end's moment, in the world, by a column whose rotations lie in the place of the step and by
@@ -233,4 +230,4 @@ class ParameterGradient(chain.Chain):
         found = plus(found, (0.0 * l1, l1 + c1 + straighten * w[1], l2 + c2 + straighten * w[2]))
         g = self.body_moment(rod, edge, self.own_part(end, pair.left, pair.right), column.multiplier)
         turned = (g[2] * w[1] - g[1] * w[2], 0.5 * g[0] * w[2], 0.0 - 0.5 * g[0] * w[1])
-        return self.in_world(edge, plus(found, turned))
+        return rotated(self.edge(rod.head, e).frame, plus(found, turned))

@@ -84,7 +84,7 @@ class Adjoint(SensitivityColumns):
             edge = self.edge(rod.head, e)
             write(tables.displaced, row, e, 0, values=scaled(x, factor))
             write(tables.turned, row, e, 0, values=scaled(edge.rotation, factor))
-            x = self.moved_end(edge, x, column.stretch)
+            x = self.end_of_turned(edge, x, edge.rotation, column.stretch)
         write(tables.displaced, row, rod.edges, 0, values=scaled(x, factor))
         return change
 

@@ -24,13 +24,7 @@ from doo_ti.relaxation.input_tables import RATIOS, evened, tables, under
 from doo_ti.relaxation.newton import MOST_IN_CONTACT, Newton
 from doo_ti.relaxation.self_approach import approach_in_relaxation, stays_in_order
 from doo_ti.relaxation.tables import Tables, whole_start
-from doo_ti.rod.shapes import (
-    material_of_end_edges,
-    material_of_half_edges,
-    vertices_before_halving,
-    with_end_edges,
-    with_half_edges,
-)
+from doo_ti.rod import shapes
 from doo_ti.rod.types import Clamp, Clamps, Configuration, Material, Solution, Status, unit_up
 from doo_ti.system import runtime
 from doo_ti.system.arguments import typed
@@ -157,20 +151,16 @@ def _check_same_rods(solution: Solution, *given) -> None:
 def _newton(table: Tables, solver: Newton, precision: str, begin: Solution | None):
     """(frames, results, bits per rod) of one precision after the other, from the starts or from the end of ``begin``."""
     evener, uneven = (table, np.zeros(0, dtype=np.int64)) if begin is not None else evened(table, RATIOS[0])
-    if precision == "f64":
-        frames, results = batch.run_newton(evener, solver, 64, begin)
-        _with_ratios(table, solver, 64, frames, results, uneven)
-        return frames, results, np.full(len(results), 64)
-    coarse = solver if precision == F32_ONLY else replace(
+    first, last = 64 if precision == "f64" else 32, 32 if precision == F32_ONLY else 64
+    coarse = solver if first == last else replace(
         solver, max_iterations=min(solver.max_iterations, ITERATIONS_32),
         tolerance=None if precision == "mixed" else solver.tolerance)
-    frames, results = batch.run_newton(evener, coarse, 32, begin)
-    bits = np.full(len(results), 32)
-    if precision == F32_ONLY:
-        _with_ratios(table, solver, 32, frames, results, uneven)
+    frames, results = batch.run_newton(evener, coarse, first, begin)
+    _with_ratios(table, solver, last, frames, results, uneven)
+    bits = np.full(len(results), first)
+    bits[uneven] = last
+    if first == last:
         return frames, results, bits
-    _with_ratios(table, solver, 64, frames, results, uneven)
-    bits[uneven] = 64
     feasible = results[:, of.STATUS] != INFEASIBLE
     short = (results[:, of.STATUS] != CONVERGED) | (results[:, of.STABLE] == 0)
     rows = np.flatnonzero(feasible & (short | (precision == "mixed")) & (bits == 32))
@@ -315,8 +305,8 @@ def mesh_change(rods: Configuration, material: Material, clamps: Clamps, up: Arr
     first, last = held[0] * rods.rest_length[0] / 4, held[1] * rods.rest_length[-1] / 4
     finer = replace(clamps, start_position=clamps.start_position + first * clamps.start_frame[..., 0],
                     end_position=clamps.end_position - last * clamps.end_frame[..., 0])
-    found = _at_rest(with_half_edges(rods, held), material_of_half_edges(material, held), finer, up, surroundings)
-    return 4 / 3 * (vertices_before_halving(found, rods.rest_length, held) - rods.vertices)
+    found = _at_rest(shapes.with_half_edges(rods, held), shapes.material_of_half_edges(material, held), finer, up, surroundings)
+    return 4 / 3 * (shapes.vertices_before_halving(found, rods.rest_length, held) - rods.vertices)
 
 
 def clamp_change(rods: Configuration, material: Material, clamps: Clamps, up: ArrayLike, surroundings: Surroundings
@@ -326,7 +316,7 @@ def clamp_change(rods: Configuration, material: Material, clamps: Clamps, up: Ar
     held = tuple(bool(one and length) for one, length in zip(_held_edges(clamps), rods.rest_length[[0, -1]], strict=True))
     if not any(held):
         return np.zeros_like(rods.vertices)
-    found = _at_rest(with_end_edges(rods, held), material_of_end_edges(material, held), clamps, up, surroundings)
+    found = _at_rest(shapes.with_end_edges(rods, held), shapes.material_of_end_edges(material, held), clamps, up, surroundings)
     return found.vertices[:, held[0] : rods.edges + 1 + held[0]] - rods.vertices
 
 

@@ -156,12 +156,9 @@ class SensitivityColumns(ParameterGradient):
         changed = plus(edge.rotation, more)
         return minus(self.held_turn_of(rod, e, column), products(self.freedom(rod, e), changed))
 
-    def moved_end(self, edge, x, stretch):
-        """What the end of an edge moves by, where its start moves by ``x`` and the edge turns by its part of the step."""
-        return self.end_of_turned(edge, x, edge.rotation, stretch)
-
     def end_of_turned(self, edge, x, w, stretch):
-        """x + l (w × t + stretch t), of an edge that turns by ``w`` in its own axes."""
+        """x + l (w × t + stretch t): what the end of an edge moves by whose start moves by ``x`` and which turns by ``w`` in
+        its own axes."""
         q = edge.frame
         turned = minus(scaled(first_director(q), w[2]), scaled(second_director(q), w[1]))
         moved = plus(turned, scaled(tangent(q), stretch))
@@ -169,14 +166,13 @@ class SensitivityColumns(ParameterGradient):
 
     def store_column(self, tables, rod, index, p, column):
         """dω from the place of the step, and dx, into the results."""
-        stretch = column.stretch
         x = variable(self.started(rod, column))
         for e in range(rod.edges):
             edge = self.edge(rod.head, e)
             self.store(tables, tables.vertices, index, e, p, x)
             if tables.rotations.shape[2] == 3:
                 self.store(tables, tables.rotations, index, e, p, edge.rotation)
-            x = self.moved_end(edge, x, stretch)
+            x = self.end_of_turned(edge, x, edge.rotation, column.stretch)
         self.store(tables, tables.vertices, index, rod.edges, p, x)
 
     def store(self, tables, array: ti.template(), index, place, p, v):

@@ -6,7 +6,7 @@ from functools import cache, partial
 import numpy as np
 import taichi as ti
 
-from doo_ti.physics.algebra import against, forward, symmetric_gram
+from doo_ti.physics.algebra import against, forward
 from doo_ti.physics.number import Number, device_functions
 from doo_ti.physics.tuples import chosen, negated, plus, record, repeated, scaled, variable
 from doo_ti.relaxation import tables as of
@@ -14,7 +14,7 @@ from doo_ti.relaxation.batch import launch, layout_for
 from doo_ti.relaxation.chain import edge_layout
 from doo_ti.relaxation.contact_sensitivity import ContactSensitivity
 from doo_ti.relaxation.elimination import Elimination
-from doo_ti.relaxation.kernel_factory import INDEX1, INDEX2, SCRATCH, TABLE1, TABLE2, TABLE3, TABLE4, loop_kernel
+from doo_ti.relaxation.kernel_factory import INDEX1, RODS, TABLE1, TABLE2, TABLE3, TABLE4, loop_kernel
 from doo_ti.relaxation.loading import Loading
 from doo_ti.relaxation.newton import OBSTACLES
 from doo_ti.relaxation.parameter_gradient import DIRECTION_COLUMNS, KEPT
@@ -36,14 +36,6 @@ class SensitivitySweep(SensitivityColumns, Elimination):
     def edge_pull(self, rod, edge, weight):
         """With the point loads, which are kept with the forces of obstacles."""
         return plus(scaled(rod.gravity, weight), edge.external.beyond)
-
-    def schur_complement(self, rod):
-        """S = Σ W_Aᵀ D⁻¹ W_A."""
-        s = variable(repeated(0.0 * rod.total, 6))
-        for e in range(rod.edges):
-            edge = self.edge(rod.head, e)
-            s = plus(s, symmetric_gram(edge.pivots, edge.border))
-        return s
 
     def solve_column(self, rod, column, schur, closure):
         """dω into the place of the step, where closure is changed by ``closure``; returns dλ."""
@@ -68,7 +60,7 @@ class SensitivitySweep(SensitivityColumns, Elimination):
             far = variable(repeated(0.0 * rod.total, 3))
             for e in range(rod.edges):
                 edge = self.edge(rod.head, e)
-                far = self.moved_end(edge, far, column.stretch)
+                far = self.end_of_turned(edge, far, edge.rotation, column.stretch)
             x = chosen(rod.released > 0.5, negated(far), x)
         return x
 
@@ -90,21 +82,21 @@ def run_sensitivity(solution: Solution, usable: np.ndarray, directions: np.ndarr
     # Kernels take no arrays without entries.
     written = {name: array if array.shape[3] else np.empty((1,) * array.ndim)
                for name, array in zip(COLUMNS, outputs, strict=True)}
-    kernels = SOLVING, SOLVING_IN_CONTACT if columns else None
-    lost = ~run_at_rest(solution, usable, kernels, directions, modes, written, first, last, packed=True)
+    lost = ~run_at_rest(solution, usable, SOLVING, directions, modes, written, first, last, packed=True, contacts=columns > 0)
     for array in outputs:
         array[lost] = np.nan
     return *outputs[:3], outputs[3][..., 0], ~lost
 
 
-def run_at_rest(solution: Solution, usable: np.ndarray, kernels: tuple, directions: np.ndarray, modes: np.ndarray,
-                arrays: dict, first: int, last: int, packed: bool = False) -> np.ndarray:
+def run_at_rest(solution: Solution, usable: np.ndarray, kernels: Callable, directions: np.ndarray, modes: np.ndarray,
+                arrays: dict, first: int, last: int, packed: bool = False, contacts: bool = True) -> np.ndarray:
     """Launch kernels over the rods from ``first`` to ``last`` of a solution that are ``usable``; ``directions`` and ``modes``
     as :func:`run_sensitivity` has them.
 
-    kernels  :func:`kernels_at_rest`: for rods that touch nothing and for those at obstacles; None: the first takes them all
-    arrays   further ones of the kernels
-    packed   whether the first kernel takes packs of rods
+    kernels   :func:`kernels_at_rest`
+    arrays    further ones of the kernels
+    packed    whether that of rods that touch nothing takes packs of rods
+    contacts  whether what rods touch matters
 
     Returns which rods (R,) are at a minimum and have results.
     """
@@ -121,7 +113,7 @@ def run_at_rest(solution: Solution, usable: np.ndarray, kernels: tuple, directio
     given = arrays | {"frames": frames.reshape(-1), "results": results, "beyond": _beyond(table, first, last), "sound": sound,
                       "directions": directions, "modes": np.ascontiguousarray(modes), "columns": columns}
     touching = np.zeros(count, dtype=bool)  # or with vertex 0 free among obstacles
-    if kernels[1] is not None and table.contact is not None:
+    if contacts and table.contact is not None:
         loose = table.clamp[table.configuration_index[first:last], of.LOOSE] > 0
         touching = loose | (table.contact.forces[first:last] != 0.0).any(axis=(1, 2))
     for part, contact in ((~touching, None), (touching, table.contact)):
@@ -129,12 +121,12 @@ def run_at_rest(solution: Solution, usable: np.ndarray, kernels: tuple, directio
         if not len(rods):
             continue
         rods[:, of.RESULT_ROW] -= first
-        kernel, more = kernels[0], {}
+        kernel, more = kernels, {}
         if contact is not None:
             obstacles, radius = (array if len(array) == 1 else array[first:last]
                                  for array in (contact.obstacles, contact.radius))
             loads = np.zeros((1, 1, 3)) if table.external is None else point_loads(table)[first:last]
-            kernel = partial(kernels[1], has_grid=contact.has_grid)
+            kernel = partial(kernels, has_grid=contact.has_grid)
             more = {"obstacles": obstacles, "kinds": contact.kinds, "grids": contact.grids, "radius": radius,
                     "memory": contact.memory[first:last], "point_loads": loads}
         layout = layout_for(len(rods), 64, width=None if packed and contact is None else 1, most=MOST_THREADS_ON_A_GPU)
@@ -167,16 +159,15 @@ def point_loads(table: Tables) -> np.ndarray:
 
 
 # What kernels are given: for rods at rest of any kind, and where their derivatives go.
-AT_REST = {
-    "start": TABLE1, "rest_length": TABLE2, "clamp": TABLE2, "material": TABLE2,  # as the Newton kernel has them
+AT_REST = RODS | {
+    "start": TABLE1,  # as the Newton kernel has it
     "up": TABLE1,  # [3] against gravity
-    "rods": INDEX2,  # [rod, ROD_COLUMNS]
     "frames": TABLE1,  # [row · edge · 4] the equilibria
     "results": TABLE2,  # [row, LOADED_RESULTS] of which −λ and how far vertex 0 has moved are read
     "beyond": TABLE3,  # [row, edge, 3] forces of obstacles, see :func:`_beyond`
     "directions": TABLE2,  # [column, DIRECTION_COLUMNS]
     "modes": TABLE3,  # [mode, joint, 3]
-    "columns": ti.i32, "threads": ti.i32, "scratch": SCRATCH,
+    "columns": ti.i32,
     "sound": INDEX1,  # [row] out: one where there are results
 }
 COLUMNS = {
@@ -188,19 +179,17 @@ CONTACTS_AT_REST = {name: OBSTACLES[name] for name in ("obstacles", "kinds", "gr
     "point_loads": TABLE3}  # [row, vertex, 3], or a single one of zero
 
 
-def kernels_at_rest(name: str, results: dict, alone: type, touching: type) -> tuple[Callable, Callable]:
+def kernels_at_rest(name: str, results: dict, alone: type, touching: type) -> Callable:
     """What :func:`run_at_rest` takes as ``kernels``, made as by :func:`.newton_kernel` of these sweeps: for rods that touch
-    nothing, and for those that touch obstacles. They write ``results``."""
+    nothing, and with ``has_grid`` for those that touch obstacles. They write ``results``."""
     @cache
-    def kernel(number: Number, stride: int, block: int):
-        return loop_kernel(name, number, AT_REST | results, alone(number, stride), block)
-
-    @cache
-    def in_contact(number: Number, stride: int, block: int, has_grid: bool):
+    def kernel(number: Number, stride: int, block: int, has_grid: bool | None = None):
+        if has_grid is None:
+            return loop_kernel(name, number, AT_REST | results, alone(number, stride), block)
         given = AT_REST | results | CONTACTS_AT_REST
         return loop_kernel(f"{name}_in_contact", number, given, touching(stride, has_grid), block, brief=True)
 
-    return kernel, in_contact
+    return kernel
 
 
-SOLVING, SOLVING_IN_CONTACT = kernels_at_rest("solve", COLUMNS, SensitivitySweep, ContactSensitivity)
+SOLVING = kernels_at_rest("solve", COLUMNS, SensitivitySweep, ContactSensitivity)

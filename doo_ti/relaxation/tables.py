@@ -6,6 +6,7 @@ and G materials, not D·G of each.
 
 import sys
 from dataclasses import dataclass
+from itertools import product
 from math import prod
 from threading import Lock
 
@@ -152,24 +153,25 @@ class Tables:
         return parted(rods, self.isotropic[rods[:, MATERIAL_ROW]])
 
     def by_kernel(self, rods: np.ndarray) -> list[tuple[bool, bool, np.ndarray]]:
-        """``rods`` parted by the kernel that relaxes them: (isotropic, any_ends, rods), by their own materials and clamps. A
-        rod whose vertex 0 is loose always needs a kernel that moves it, ``any_ends``."""
-        return [(isotropic, any_ends, part) for isotropic, own in self.by_material(rods)
-                for any_ends, part in parted(own, self._any_ends(own))]
-
-    def _any_ends(self, rods: np.ndarray) -> np.ndarray:
-        """(-,) whether the kernel of a rod has to know held far ends and loose starts."""
+        """``rods`` parted by the kernel that relaxes them: (isotropic, any_ends, rods), by their own materials and clamps.
+        ``any_ends``: it has to know loose starts and, under an external energy or among obstacles, held far ends."""
+        clamp = self.clamp[rods[:, CLAMP_ROW]]
+        any_ends = clamp[:, LOOSE] > 0
+        if self.external is not None:
+            any_ends |= clamp[:, CLOSED] > 0
         if self.contact is not None:
-            return np.ones(len(rods), dtype=bool)
-        loose = self.clamp[rods[:, CLAMP_ROW], LOOSE] > 0
-        return loose if self.external is None else loose | (self.clamp[rods[:, CLAMP_ROW], CLOSED] > 0)
+            any_ends[:] = True
+        return parted(rods, self.isotropic[rods[:, MATERIAL_ROW]], any_ends)
 
 
-def parted(rods: np.ndarray, flag: np.ndarray) -> list[tuple[bool, np.ndarray]]:
-    """(flag, rods) of those that have it and of those that have it not, where there are any."""
-    if flag.all() or not flag.any():  # as nearly always
-        return [(bool(flag[0]), rods)] if len(rods) else []
-    return [(True, rods[flag]), (False, rods[~flag])]
+def parted(rods: np.ndarray, *flags: np.ndarray) -> list[tuple]:
+    """(flags …, rods) of each combination of ``flags`` that some rods have."""
+    parts = []
+    for kind in product((True, False), repeat=len(flags)):
+        own = np.all([flag == value for flag, value in zip(flags, kind, strict=True)], axis=0)
+        if own.any():
+            parts.append((*kind, rods if own.all() else rods[own]))
+    return parts
 
 
 def rod_rows(of_clamp, of_material, of_result, of_start, of_external) -> np.ndarray:

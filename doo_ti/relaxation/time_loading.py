@@ -111,7 +111,7 @@ class MotionLoading(Loading):
                     own.free[pair[0]] = some * tables.clamp[s, pair[1]]
             if found == TAUT:
                 self.stretch(tables, own, s, scaled(free, 1.0 / span))
-            elif found != INFEASIBLE and before != SOUND and self.is_straight(tables, own, s, False):
+            elif found != INFEASIBLE and before != SOUND and self.is_straight(tables, own, s):
                 self.bow(tables, own, slot, s, slack)
                 own.reach = BOWED
         return found
@@ -131,28 +131,24 @@ class MotionLoading(Loading):
             if self.tilts(tables, s, e) > 0.0:
                 self.edge(own, e).frame = turned_to(in_f64(self.edge(own, e).frame), along)
 
-    def is_straight(self, tables, own, s, last: ti.template()):
-        """Whether the edges that may tilt are in one straight line, at the last instant with ``last``."""
+    def is_straight(self, tables, own, s):
+        """Whether the edges that may tilt are in one straight line."""
         edges, row = tables.rest_length.shape[1], ti.min(s, tables.rest_length.shape[0] - 1)
-        inner = self.direction(own, ti.min(1, edges - 1), last)
-        apart = minus(inner, self.direction(own, edges // 2, last))
+        apart = minus(self.direction(own, ti.min(1, edges - 1)), self.direction(own, edges // 2))
         straight = False
         if dot(apart, apart) < ALIKE:  # most rods that are not straight are seen not to be by two of their edges
             chord = variable(repeated(ti.cast(0.0, ti.f64), 3))
             reach = ti.cast(0.0, ti.f64)
             for e in range(edges):
                 length = self.tilts(tables, s, e) * tables.rest_length[row, e]
-                chord = plus(chord, scaled(self.direction(own, e, last), length))
+                chord = plus(chord, scaled(self.direction(own, e), length))
                 reach += length
             straight = dot(chord, chord) > (reach * (1.0 - self.straightness)) ** 2
         return straight
 
-    def direction(self, own, e, last: ti.template()):
-        """The tangent of an edge in a lane, at the last instant with ``last``."""
-        if ti.static(last):
-            return tangent(in_f64(self.edge(own, e).motion.frame_1))
-        else:
-            return tangent(in_f64(self.edge(own, e).frame))
+    def direction(self, own, e):
+        """The tangent of an edge in a lane."""
+        return tangent(in_f64(self.edge(own, e).frame))
 
     def bow(self, tables, own, slot, s, slack):
         """Bow the edges that may tilt as far as that ``slack``, a share of their length, lets them: downwards, or where the
@@ -209,13 +205,14 @@ class MotionLoading(Loading):
         edges = tables.rest_length.shape[1]
         for e in range(edges):
             motion, place = self.edge(own, e).motion, (row * edges + e) * 4
+            self.edge(own, e).frame = read(tables.frames, place, count=4)
             motion.frame_1 = read(tables.frames, place, count=4)
             motion.frame_2 = read(tables.frames_before, place, count=4)
         if ti.static(self.touches):
             own.euler = 0.0
         # How it was at the last instant: SOUND, or STRAIGHT as its frames say.
         s, found = tables.rods[rod, of.CLAMP_ROW], SOUND
-        if tables.clamp[s, of.CLOSED] > 0.0 and self.is_straight(tables, own, s, True):
+        if tables.clamp[s, of.CLOSED] > 0.0 and self.is_straight(tables, own, s):
             found = STRAIGHT
         own.reach = found
 
@@ -225,7 +222,10 @@ class MotionLoading(Loading):
         s = tables.rods[rod, of.CLAMP_ROW]
         own, edges = head.lane(slot), tables.rest_length.shape[1]
         unit = in_f64(own.length_unit)
-        share = self.share_of_way(tables, slot)
+        share = ti.cast(1.0, ti.f64)  # of the clamps' way that is left to the next instant, what the rod makes at once
+        if ti.static(self.touches):
+            contacts = tables.contacts.lane(slot)
+            share = ti.min(share, contacts.way / ti.max(1.0 - in_f64(contacts.way_made), 1e-9))
         anchor = variable(read(tables.path, s, step, PATH_ANCHOR))
         line = variable(read(tables.path, s, step, PATH_TARGET))
         if share < 1.0:
@@ -247,15 +247,6 @@ class MotionLoading(Loading):
                 still *= self.rest_of_poses(tables, row, step)
             own.unmoved = still
         return self.load_reach(tables, own, slot, s, line, first, last)
-
-    def share_of_way(self, tables, slot):
-        """Of the clamps' way that is left to the next instant, the share that the rod in lane ``slot`` makes at once."""
-        share = ti.cast(1.0, ti.f64)
-        if ti.static(self.touches):
-            own = tables.contacts.lane(slot)
-            made = in_f64(own.way_made)
-            share = ti.min(share, own.way / ti.max(1.0 - made, 1e-9))
-        return share
 
     def load_path_end(self, tables, s, step, share, end: ti.template(), edge):
         """The frame of an end ``edge`` after that share of its way; returns its tangent, zero where it is not held."""

@@ -199,9 +199,9 @@ class TimeSlopes(TimeSweep):
 
     def substitute_slope(self, rod, blocks, parameter, change, time):
         """The derivatives of the step from W_r, which become those at the last instant."""
-        first = self.block(blocks, rod.edges, parameter, 0)
+        first, every = self.block(blocks, rod.edges, parameter, 0), rod.total > 0.0
         x = variable(backward(rod.head.drift_pivots, minus_combination(first.right, rod.head.drift_border, change)))
-        self.remember_place(rod, first, x, time)
+        self.remember_vertex(rod, first, x, time, every)
         w = variable(repeated(0.0 * rod.total, 3))
         for e in range(rod.edges):
             edge, shared = self.edge(rod.head, e), self.shared(blocks, e + 1)
@@ -217,11 +217,7 @@ class TimeSlopes(TimeSweep):
             w = turned
             lever1, lever2 = shared.lever_1, shared.lever_2
             x = plus(x, minus(scaled(lever1, w[2]), scaled(lever2, w[1])))
-            self.remember_place(rod, own, x, time)
-
-    def remember_place(self, rod, own, x, time):
-        """As :meth:`remember_vertex`, of the derivative ``x`` of a place in the rod's unit of length."""
-        self.remember_vertex(rod, own, x, time, rod.total > 0.0)
+            self.remember_vertex(rod, own, x, time, every)
 
 
 @device_functions

@@ -12,7 +12,7 @@ from doo_ti.relaxation import tables as of
 from doo_ti.relaxation.batch import launch, layout_for, policy_row
 from doo_ti.relaxation.contacts import RodContacts
 from doo_ti.relaxation.dense_elimination import DenseElimination
-from doo_ti.relaxation.kernel_factory import INDEX1, INDEX2, SCRATCH, TABLE1, TABLE2, TABLE3, TABLE4, loop_kernel
+from doo_ti.relaxation.kernel_factory import INDEX1, INDEX2, RODS, TABLE1, TABLE2, TABLE3, TABLE4, loop_kernel
 from doo_ti.relaxation.newton import OBSTACLES, Newton
 from doo_ti.relaxation.self_contacts import SelfContacts
 from doo_ti.relaxation.tables import Tables, room
@@ -30,19 +30,13 @@ class DenseTimeSweep(DenseElimination, TimeImpact):
 
 
 # What kernels are given.
-STEPS = {
-    "rest_length": TABLE2,  # [1 or configuration, edge] mm
-    "clamp": TABLE2,  # [configuration, CLAMP_COLUMNS]
+STEPS = RODS | {
     "path": TABLE3,  # [configuration, step, PATH_COLUMNS]
-    "material": TABLE2,  # [material, STIFFNESS + 1 or edge · STIFFNESS_COLUMNS]
     "numbers": TABLE3,  # [numbers, vertex, VERTEX_ITEMS − INERTIA]
     "shares": TABLE2,  # [numbers, 2] of rest curvature and of rest twist that damping makes
-    "rods": INDEX2,  # [rod, ROD_COLUMNS]
     "policy": TABLE1,  # [POLICY_COLUMNS] of :mod:`doo_ti.relaxation.newton_policy`
     "time": TABLE1,  # [TIME_COLUMNS] of :mod:`doo_ti.relaxation.time_sweep`
     "steps": ti.i32, "every": ti.i32,  # and after how many of them a frame is stored
-    "threads": ti.i32,
-    "scratch": SCRATCH,
     "queue": INDEX1,  # [NEXT, TRIPS, LANES + twice thread · lane] zero
     "frames": TABLE1,  # [row · edge · 4] at the last instant, in and out
     "frames_before": TABLE1,  # and at the one before
@@ -67,27 +61,20 @@ SLOPES = {
 
 
 @cache
-def time_kernel(number: Number, stride: int, block: int, isotropic: bool):
-    """As :func:`.newton_kernel`, of steps; ``isotropic``: of round rods, straight at rest and undamped."""
+def time_kernel(number: Number, stride: int, block: int, isotropic: bool, slopes: bool, contact: tuple[bool, ...] | None):
+    """As :func:`.newton_kernel`, of steps; ``isotropic``: of round rods, straight at rest and undamped.
+
+    slopes: with derivatives, in f64 and for any rods.
+    contact: of rods that may touch something, whether there are grids, they rub, obstacles move, and they may touch themselves.
+    """
+    if contact is not None:
+        *kind, itself = contact
+        contacts = (SelfContacts if itself else RodContacts)(number, *kind)
+        sweep = (DenseTimeSweep if itself else TimeImpact)(number, isotropic, stride, contacts)
+        return loop_kernel("make_steps_in_contact", number, STEPS | OBSTACLES | MOTIONS, TimeLoop(sweep), block, brief=True)
+    if slopes:
+        return loop_kernel("make_steps_with_slopes", number, STEPS | SLOPES, TimeSlopeLoop(TimeSlopes(number, stride)), block)
     return loop_kernel("make_steps", number, STEPS, TimeLoop(TimeSweep(number, isotropic, stride)), block)
-
-
-@cache
-def time_contact_kernel(number: Number, stride: int, block: int, isotropic: bool, has_grid: bool, rub: bool,
-                        itself: bool, moves: bool):
-    """The same for rods that may touch obstacles, with ``has_grid`` grids, or ``itself``, with friction if they ``rub``, and
-    for obstacles that move if ``moves``."""
-    if itself:
-        sweep = DenseTimeSweep(number, isotropic, stride, SelfContacts(number, has_grid, rub, moves))
-    else:
-        sweep = TimeImpact(number, isotropic, stride, RodContacts(number, has_grid, rub, moves))
-    return loop_kernel("make_steps_in_contact", number, STEPS | OBSTACLES | MOTIONS, TimeLoop(sweep), block, brief=True)
-
-
-@cache
-def time_slope_kernel(number: Number, stride: int, block: int):
-    """The same for steps with their derivatives, in f64 and for any rods."""
-    return loop_kernel("make_steps_with_slopes", number, STEPS | SLOPES, TimeSlopeLoop(TimeSlopes(number, stride)), block)
 
 
 @dataclass
@@ -183,48 +170,34 @@ def make_steps(table: Tables, memory: Memory, steps: Steps, numbers: np.ndarray,
     rods[:, of.EXTERNAL_ROW] = table.external_index[rods[:, of.RESULT_ROW]]
     count = steps.path.shape[1]
     frames = count // steps.every
-    positions = room(table.count * frames, table.edges + 1, 3)
-    positions[...] = np.nan
-    outcome = np.zeros((table.count, frames, OUTCOMES))
-    outcome[:, :, STATE] = memory.status[:, None]
+    vertices = table.edges + 1
+    positions, outcome = room(table.count, frames, vertices, 3), np.zeros((table.count, frames, OUTCOMES))
+    positions[...], outcome[:, :, STATE] = np.nan, memory.status[:, None]
     results = np.zeros((table.count, of.LOADED_RESULTS))
     results[:, of.FORCE : of.FORCE + 3], results[:, of.DRIFT:] = memory.multiplier, memory.drift
-    contact, more = table.contact, {}
+    contact, more, kind = table.contact, {}, None
     forces = touches = position_slopes = None
     if contact is not None:
-        forces = room(table.count * frames, table.edges + 1, 3)
+        kind = contact.has_grid, contact.rubs, steps.poses is not None, contact.itself
+        forces, touches = room(table.count, frames, vertices, 3), np.zeros((table.count, frames, vertices), dtype=np.int32)
         forces[...] = 0.0
-        touches = np.zeros((table.count * frames, table.edges + 1), dtype=np.int32)
-        more = contact.arguments(forces, options.gap_tolerance, in_motion=True) | {
-            "touches": touches, "poses": np.zeros((1, 1, 1, 1)) if steps.poses is None else steps.poses,
-            "pair_memory": contact.pair_memory, "rod_memory": contact.rod_memory}
+        more = contact.arguments(forces.reshape(-1, vertices, 3), options.gap_tolerance, in_motion=True) | {
+            "touches": touches.reshape(-1, vertices), "pair_memory": contact.pair_memory, "rod_memory": contact.rod_memory,
+            "poses": np.zeros((1, 1, 1, 1)) if steps.poses is None else steps.poses}
     if slopes is not None:
-        position_slopes = room(table.count * frames, slopes.count, table.edges + 1, 3)
+        position_slopes = room(table.count, frames, slopes.count, vertices, 3)
         position_slopes[...] = np.nan
         more = {"material_slopes": slopes.material.reshape(-1, slopes.material.shape[-1]), "number_slopes": slopes.numbers,
-                "share_slopes": slopes.shares, "slopes": slopes.memory, "position_slopes": position_slopes}
+                "share_slopes": slopes.shares, "slopes": slopes.memory,
+                "position_slopes": position_slopes.reshape(-1, slopes.count, vertices, 3)}
     for isotropic, part in table.by_material(rods):
         launch(layout_for(len(part), bits, contact is not None and contact.itself),
-               _kernel_of(table, isotropic, slopes, steps.poses is not None), rest_length=table.rest_length, clamp=table.clamp,
-               path=steps.path, material=table.material, numbers=numbers, shares=shares, rods=part,
-               policy=policy_row(table.up, options, bits), time=steps.time, steps=count, every=steps.every,
-               frames=memory.frames.reshape(-1), frames_before=memory.frames_before.reshape(-1), places=memory.places,
-               results=results, positions=positions, outcome=outcome, **more)
+               partial(time_kernel, isotropic=isotropic and slopes is None, slopes=slopes is not None, contact=kind),
+               rest_length=table.rest_length, clamp=table.clamp, path=steps.path, material=table.material, numbers=numbers,
+               shares=shares, rods=part, policy=policy_row(table.up, options, bits), time=steps.time, steps=count,
+               every=steps.every, frames=memory.frames.reshape(-1), frames_before=memory.frames_before.reshape(-1),
+               places=memory.places, results=results, positions=positions.reshape(-1, vertices, 3), outcome=outcome, **more)
     if len(rods):
         memory.multiplier[:], memory.drift[:] = results[:, of.FORCE : of.FORCE + 3], results[:, of.DRIFT:]
         memory.status[:] = outcome[:, -1, STATE].astype(memory.status.dtype)
-    if slopes is not None:
-        position_slopes = position_slopes.reshape(table.count, frames, slopes.count, table.edges + 1, 3)
-    if contact is not None:
-        forces = forces.reshape(table.count, frames, table.edges + 1, 3)
-        touches = touches.reshape(table.count, frames, table.edges + 1).astype(np.int8)
-    return positions.reshape(table.count, frames, table.edges + 1, 3), outcome, position_slopes, forces, touches
-
-
-def _kernel_of(table: Tables, isotropic: bool, slopes: Slopes | None, moves: bool) -> Callable:
-    """What makes the kernel of rods of one kind, with obstacles that move if ``moves``."""
-    contact = table.contact
-    if contact is not None:
-        return partial(time_contact_kernel, isotropic=isotropic, has_grid=contact.has_grid, rub=contact.rubs,
-                       itself=contact.itself, moves=moves)
-    return time_slope_kernel if slopes is not None else partial(time_kernel, isotropic=isotropic)
+    return positions, outcome, position_slopes, forces, None if touches is None else touches.astype(np.int8)

@@ -22,13 +22,6 @@ right-hand side of the tridiagonal systems."""
 PROJECTION_ROUNDS = 2
 
 
-@ti.func
-def edge_force(gradient, frame, length):
-    """∂E/∂e of an edge, across it, from the gradient of its frame: (g_3 m1 − g_2 m2)/|e|."""
-    of_m1 = scaled(quaternion.first_director(frame), gradient[2] / length)
-    return minus(of_m1, scaled(quaternion.second_director(frame), gradient[1] / length))
-
-
 @device_functions
 class VertexChain(pair.PairEnergy):
     """The sweeps over vertices, for one kind of number; materials are always general.
@@ -66,6 +59,15 @@ class VertexChain(pair.PairEnergy):
             free = free * (1.0 - rod.held[2])
         if vertex == rod.edges:
             free = free * (1.0 - rod.held[3])
+        return free
+
+    def spins(self, rod, e):
+        """One where the frame of edge ``e`` may spin."""
+        free = 0.0 * rod.spin[0] + 1.0
+        if e == 0:
+            free = rod.spin[0]
+        if e == rod.edges - 1:
+            free = rod.spin[1]
         return free
 
     # --- sweeps ---
@@ -128,30 +130,24 @@ class VertexChain(pair.PairEnergy):
         zero = 0.0 * rod.held[0]
         y, total = (zero, zero)
         beyond = variable(repeated(zero, 3))  # y e/l of the edge after
-        for k in range(rod.edges):
-            at, after = self.vertex(rod.origin, rod.edges - 1 - k), self.vertex(rod.origin, rod.edges - k)
-            length, moved = at.length, self.projected(after, of_gradient)
-            v = minus(after.trial_position, at.trial_position)
-            y = at.right - at.ratio * y
-            n = (v[0] * y / length, v[1] * y / length, v[2] * y / length)
-            there = self.mobility(rod, rod.edges - k)
+        for back in range(rod.edges + 1):
+            v = rod.edges - back
+            at, free = self.vertex(rod.origin, v), self.mobility(rod, v)
+            n = variable(repeated(zero, 3))
+            if v > 0:
+                before = self.vertex(rod.origin, v - 1)
+                along = minus(at.trial_position, before.trial_position)
+                y = before.right - before.ratio * y
+                n = (along[0] * y / before.length, along[1] * y / before.length, along[2] * y / before.length)
+            moved = self.projected(at, of_gradient)
             x = variable(moved.value)
-            change = scaled(minus(n, beyond), there)
             if ti.static(of_gradient):
-                x = minus(scaled(x, there), change)
+                x = scaled(x, free)
+            x = minus(x, scaled(minus(n, beyond), free))
+            if ti.static(of_gradient):
                 total = total + ti.sqrt(dot(x, x))
-            else:
-                x = minus(x, change)
             moved.value = x
             beyond = n
-        here, first = self.mobility(rod, 0), self.projected(rod.origin, of_gradient)
-        x = variable(first.value)
-        if ti.static(of_gradient):
-            x = scaled(plus(x, beyond), here)
-            total = total + ti.sqrt(dot(x, x))
-        else:
-            x = plus(x, scaled(beyond, here))
-        first.value = x
         return total
 
     def adopt(self, rod, accepted):
@@ -217,17 +213,11 @@ class VertexChain(pair.PairEnergy):
                 b2 = 2.0 * stiffness[3]
                 g, h = g + of_left[0], h + ti.max(h_left[0], b2)
                 gradient, curvature = of_right[0], ti.max(h_right[0], b2)
-            free, after_free = (one, one)
-            if e == 0:
-                free = rod.spin[0]
-            if e == rod.edges - 1:
-                free = rod.spin[1]
-            if e == rod.edges - 2:
-                after_free = rod.spin[1]
+            free = self.spins(rod, e)
             pivot = h - coupling * ratio
             pivot = ti.select((free > 0.5) & (pivot > 0.0), pivot, one)
             right = free * (0.0 - g - coupling * right) / pivot
-            coupling = 0.0 - b2 * free * after_free
+            coupling = 0.0 - b2 * free * self.spins(rod, e + 1)
             ratio = coupling / pivot
             at.right = right
             at.ratio = ratio
@@ -267,13 +257,9 @@ class VertexChain(pair.PairEnergy):
                     found.energy = found.energy + self.energy_of(bent, stiffness)
                     of_left, of_right = self.gradient_of(bent, stiffness)
                     gradient, carried = plus(gradient, of_left), of_right
-                moment = gradient[0]
-                if v == 0:
-                    moment = moment * rod.spin[0]
-                if v == rod.edges - 1:
-                    moment = moment * rod.spin[1]
-                found.spin = larger(found.spin, absolute(moment))
-                n = edge_force(gradient, at.trial_frame, at.length)
+                found.spin = larger(found.spin, absolute(gradient[0] * self.spins(rod, v)))
+                t, m1, m2 = quaternion.directors(at.trial_frame)
+                n = minus(scaled(m1, gradient[2] / at.length), scaled(m2, gradient[1] / at.length))
             at.trial_force = minus(f, n)
         found.magnitude = found.energy + found.magnitude
         found.energy = found.energy + potential

@@ -136,7 +136,7 @@ class ImageEnergy:
     """ν Σ_c E_proj^c of an edge for one kind of number."""
 
     def __init__(self, number):
-        self.constant, self.edge = number.lanes().constant, EdgeIntegral(number)
+        self.constant, self.edge = number.constant, EdgeIntegral(number)
 
     def load(self, own, numbers: ti.template(), row, edge, scale):
         own.images, own.nu = row, numbers[row, 0, NU] * scale
@@ -225,8 +225,7 @@ class AssignedEnergy:
     """ν E_back of an edge for one kind of number."""
 
     def __init__(self, number):
-        lanes = number.lanes()
-        self.constant, self.lane, self.with_lane = lanes.constant, lanes.lane, lanes.with_lane
+        self.constant, self.lane, self.with_lane = number.constant, number.lane, number.with_lane
         self.scalar, self.width = number.scalar, number.width
         self.projection = Projection(number)
 

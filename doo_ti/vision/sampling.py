@@ -63,7 +63,7 @@ class Projection:
 
     def __init__(self, number):
         self.scalar = number.scalar
-        self.constant = number.lanes().constant
+        self.constant = number.constant
 
     def three(self, numbers: ti.template(), c, k):
         """Columns k to k + 2 of camera c."""
@@ -153,8 +153,7 @@ class MapSampling:
     """
 
     def __init__(self, number, first: int):
-        lanes = number.lanes()
-        self.lane, self.with_lane, self.constant = lanes.lane, lanes.with_lane, lanes.constant
+        self.lane, self.with_lane, self.constant = number.lane, number.with_lane, number.constant
         self.width = number.width
         self.first = first
 

@@ -109,8 +109,7 @@ class Scoring:
     """The terms of E_vis of a pack of hypotheses, ``first`` and those after it, for one kind of number."""
 
     def __init__(self, number: Number):
-        lanes = number.lanes()
-        self.lane, self.with_lane, self.constant = lanes.lane, lanes.with_lane, lanes.constant
+        self.lane, self.with_lane, self.constant = number.lane, number.with_lane, number.constant
         self.width, self.scalar = number.width, number.scalar
         self.edge = EdgeIntegral(number)
 

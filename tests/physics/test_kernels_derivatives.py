@@ -36,7 +36,7 @@ def pair_kernel(number: Number, isotropic: bool):
             h_left, h_right, h_across = pair.isotropic_hessian(x, y, inverse, turn, m, s)
             return (pair.isotropic_energy(x, m, s),) + left + right + h_left + h_right + h_across
         else:
-            s = ((v[8], v[9], v[10]), (v[11], v[12], v[13]), v[14], v[15], (v[16], v[17]))
+            s = ((v[8], v[9], v[10]), (v[11], v[12], v[13]), v[14], v[15], (v[16], v[17]), (v[16], v[17]), 0.0)
             left, right = pair.general_gradient(x, y, inverse, turn, m, s)
             h_left, h_right, h_across = pair.general_hessian(x, y, inverse, turn, m, s)
             return (pair.general_energy(x, y, m, s),) + left + right + h_left + h_right + h_across

@@ -14,12 +14,12 @@ LITERALS = (0.1, 1 / 3, 1e-30, 2.0 / 7.0, 1e-13, -0.3)
 @every_number
 def test_the_largest_lane_is_that_of_numbers_and_literals_are_exact(rng, number):
     """The default precision of Taichi is f32: a literal in f64 must not pass through it."""
-    lanes, width, scalar = number.lanes(), number.width, number.scalar
+    width, scalar = number.width, number.scalar
 
     @ti.func
     def spread(v: ti.template()):
-        one = lanes.constant(1.0)
-        return (lanes.constant(lanes.largest(v[0])), one * scalar(LITERALS[0]), one * scalar(LITERALS[1]),
+        one = number.constant(1.0)
+        return (number.constant(number.largest(v[0])), one * scalar(LITERALS[0]), one * scalar(LITERALS[1]),
                 one * scalar(LITERALS[2]), one * scalar(LITERALS[3]), one * scalar(LITERALS[4]), one * scalar(LITERALS[5]))
 
     values = rng.normal(size=(ROWS, 1)).astype(np.float32).astype(float)

@@ -20,8 +20,7 @@ def row_kernel(number: Number, inputs: int, outputs: int, function):
     ``function`` (scratch, numbers, values) reads its inputs from scratch, each a number per rod, and returns ``outputs`` of
     them. Rows are repeated to fill the lanes.
     """
-    lanes = number.lanes()
-    lane, with_lane, width = lanes.lane, lanes.with_lane, number.width
+    lane, with_lane, width = number.lane, number.with_lane, number.width
 
     @ti.kernel
     def apply(
