@@ -19,7 +19,6 @@ from doo_ti.system.arguments import counted
 from doo_ti.system.errors import InputError, InterruptedRunError, require
 from doo_ti.system.terminal import can_record, in_line, progress, warn
 from doo_ti.vision.images import SEED, SEEDS, ImageSets, cameras_in, clicks_in, images_in, seed_columns
-from doo_ti.vision.synchronisation import epipolar_extremes, frames_apart
 
 if TYPE_CHECKING:
     from doo_ti.perception.seeds import WholeThreads
@@ -128,6 +127,7 @@ def _tracked(options: Namespace, task: SeenRods, motions: list | None) -> tuple[
     tracking, or None. An error before the first frame is raised. ``motions`` are those of :func:`_far_motions`, if known."""
     from doo_ti.perception.perceive import PerceptionVerdict
     from doo_ti.perception.tracking import Tracker
+    from doo_ti.vision.synchronisation import epipolar_extremes
 
     frames, rest_length, known, problem = task.sets, task.rest_length, None, None
     found, starts, sigma, seen, extremes, length_range = [], [], [], [], [], np.full(2, np.nan)
@@ -168,6 +168,8 @@ def _tracked(options: Namespace, task: SeenRods, motions: list | None) -> tuple[
 def _warn_of_instants(frames: ImageSets, extremes: np.ndarray) -> None:
     """Print a warning for each pair of cameras whose images were taken at different instants, by their
     :func:`epipolar_extremes`."""
+    from doo_ti.vision.synchronisation import frames_apart
+
     for apart in frames_apart(extremes):
         (first, second), (same, shifted) = (frames.rig.names[camera] for camera in apart.cameras), apart.off
         shift = f"{abs(apart.frames):g} row{'s' * (abs(apart.frames) != 1)}"

@@ -150,7 +150,7 @@ class _Array(Rule):
         if isinstance(value, np.ndarray):
             array = value
         elif isinstance(value, Real):
-            return _NUMBER.take(value) if isinstance(value, int) and not isinstance(value, bool) else value
+            return _WHOLE.take(value) if isinstance(value, int) and not isinstance(value, bool) else value
         else:
             try:
                 array = np.asarray(value)
