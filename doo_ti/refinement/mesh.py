@@ -63,16 +63,9 @@ class Mesh:
         """(N,) mm, of the edges."""
         return 0.5 * (self.place[1:] + self.place[:-1])
 
-    @property
-    def middle_slope(self) -> np.ndarray:
-        """(N, GEOMETRY) derivative of :attr:`middles`."""
-        return self.first_slope + (np.arange(len(self.place) - 1)[:, None] + 0.5) * self.edge_slope
-
-    @property
-    def joint_slope(self) -> np.ndarray:
-        """(N − 1, GEOMETRY) derivative of :attr:`joints`."""
-        steps = np.arange(1, len(self.place) - 1)[:, None]
-        return self.first_slope + steps * self.edge_slope
+    def slope(self, place: np.ndarray) -> np.ndarray:
+        """(X, GEOMETRY) derivative of arc lengths ``place`` (X,) at the same u = (s − s_0)/h, as those of joints and middles."""
+        return self.first_slope + ((place - self.place[0]) / self.edge)[:, None] * self.edge_slope
 
     @classmethod
     def between(cls, clamped: np.ndarray, edges: int, lengths: Lengths) -> "Mesh":
@@ -107,18 +100,12 @@ class Mesh:
 
     def at_edges(self, place: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """(X, N) weights of the edges, each at its middle and linear in between, and their derivatives by u."""
-        u = np.clip((place - self.place[0]) / self.edge - 0.5, 0.0, len(self.place) - 2)
-        low = np.minimum(u.astype(int), len(self.place) - 3)
-        weights, slopes = np.zeros((2, len(place), len(self.place) - 1))
-        rows = np.arange(len(place))
-        weights[rows, low], weights[rows, low + 1] = 1 - (u - low), u - low
-        slopes[rows, low], slopes[rows, low + 1] = -1.0, 1.0
-        return weights, slopes
+        weights, slopes = values_at(place, self.middles)
+        return weights, slopes * self.edge
 
     def slide(self, place: np.ndarray) -> np.ndarray:
         """(X, GEOMETRY) derivative of u = (s − s_0)/h at given arc lengths s."""
-        u = (place - self.place[0]) / self.edge
-        return -(self.first_slope + u[:, None] * self.edge_slope) / self.edge
+        return -self.slope(place) / self.edge
 
 
 # --- functions along the rod ----------------------------------------------------------------------------------------------

@@ -36,6 +36,7 @@ from doo_ti.refinement.fit import Fit, Fitted, State
 from doo_ti.refinement.held_rod import POSE, TWIST
 from doo_ti.refinement.theta import ANY_TWIST, NAMES, Scales
 from doo_ti.refinement.unknowns import Unknowns
+from doo_ti.rod.frames import rotation_vector, smallest_rotation
 
 ROLLS = np.linspace(-np.pi, np.pi, 48, endpoint=False)
 TWISTS = np.radians(np.arange(-210.0, 211.0, 30.0))
@@ -246,8 +247,5 @@ def _without_roll(fit: Fit, state: State) -> np.ndarray:
     scatter = state.values.scatter.copy()
     for end, (_, frame, _, now) in enumerate(fit.unknowns.rod.ends(fit.unknowns.pose(state.values))):
         tangent = np.einsum("dji,dj->di", frame, now[..., 0])
-        axis = np.cross([1.0, 0.0, 0.0], tangent)
-        sine = np.linalg.norm(axis, axis=1, keepdims=True)
-        angle = np.arctan2(sine, tangent[:, :1])
-        scatter[:, 3 * end : 3 * end + 3] = axis * angle / np.maximum(sine, 1e-300)
+        scatter[:, 3 * end : 3 * end + 3] = rotation_vector(smallest_rotation(np.array([1.0, 0.0, 0.0]), tangent))
     return scatter

@@ -257,16 +257,18 @@ class Unknowns:
         mesh = self.rod.mesh(self.lengths(values))
         weights, slopes = values_at(mesh.joints, self.knots) if len(self.knots) else (np.zeros((len(mesh.joints), 0)),) * 2
         by_knot = np.einsum("jk,ab->kajb", weights, np.eye(2)).reshape(-1, len(mesh.joints), 2) / self.rod.length
-        by_clip = np.einsum("jk,kb,je->ejb", slopes, values.curvature, mesh.joint_slope)
+        by_clip = np.einsum("jk,kb,je->ejb", slopes, values.curvature, mesh.slope(mesh.joints))
         return np.concatenate([by_knot, by_clip]), mesh
 
     def stiffness_modes(self, values: Values, mesh: Mesh, elementary: tuple[str, ...]) -> np.ndarray:
         """(K + GEOMETRY + ·, N − 1, 3) derivatives of ln B of both edges at each joint, and of ln β there, of a rod whose
         stiffness varies along it: by each unknown of the stiffness, by the lengths, with which the mesh slides along the rod,
         and by ln α and ln β, those of them that are ``elementary`` (:meth:`chain`)."""
-        edges, joints = (np.concatenate([weights, (slopes @ values.stiffness)[:, None] * sliding], axis=1) for (
-            weights, slopes), sliding in ((values_at(mesh.middles, self.stiffness_knots), mesh.middle_slope),
-                                          (values_at(mesh.joints, self.stiffness_knots), mesh.joint_slope)))
+        def at(places: np.ndarray) -> np.ndarray:
+            weights, slopes = values_at(places, self.stiffness_knots)
+            return np.concatenate([weights, (slopes @ values.stiffness)[:, None] * mesh.slope(places)], axis=1)
+
+        edges, joints = at(mesh.middles), at(mesh.joints)
         along = np.stack([edges[:-1], edges[1:], joints], axis=-1) - edges.mean(axis=0)[:, None]
         whole = np.array([[name == "bend"] * 2 + [name == "twist"] for name in ALONG if name in elementary], dtype=np.float64)
         return np.concatenate([np.moveaxis(along, 0, 1), np.repeat(whole.reshape(-1, 1, 3), len(joints), axis=1)])

@@ -31,7 +31,7 @@ def test_edges_share_what_lies_between_the_clips(kinds, count):
         step = 1e-6 * np.eye(2)[end]
         above, below = (rod.mesh(Lengths(clip + sign * step, spacing)) for sign in (1, -1))
         assert mesh.edge_slope[end] == pytest.approx((above.edge - below.edge) / 2e-6, abs=1e-8)
-        np.testing.assert_allclose(mesh.joint_slope[:, end], (above.joints - below.joints) / 2e-6, atol=1e-7)
+        np.testing.assert_allclose(mesh.slope(mesh.joints)[:, end], (above.joints - below.joints) / 2e-6, atol=1e-7)
 
 
 def test_marks_are_interpolated_to_the_third_order():
