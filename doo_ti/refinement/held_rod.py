@@ -196,7 +196,7 @@ class HeldRod:
                 moved[end] -= half * mesh.edge * np.cross(turned[end], tangent[..., None], axis=1)
         return moved, turned
 
-    def relaxed(self, material: Material, lengths: Lengths, pose: np.ndarray, solver: Newton, up: np.ndarray,
+    def relaxed(self, material: Material, lengths: Lengths, pose: np.ndarray, up: np.ndarray, solver: Newton,
                 rows: np.ndarray | None = None, any_turn: bool = False, turn: int | None = None) -> Solution:
         """F from the observations, or from those of ``rows`` alone; of several whole turns the one nearest to the marks.
 
@@ -221,14 +221,12 @@ class HeldRod:
         around = self.around(lengths, rows[index[best]])
         return relax(starts.take(best), material, clamps.take(index[best]), solver, up=up, **around)
 
-    def followed(self, solution: Solution, material: Material, lengths: Lengths, pose: np.ndarray, solver: Newton,
-                 up: np.ndarray) -> Solution:
-        """F from ``solution``, which keeps every rod on its branch."""
-        clamps = self.mesh_clamps(lengths, pose)
-        edges = np.full(self.edges, self.mesh(lengths).edge)
-        begin = Configuration(clamps.start_position, solution.configuration.quaternions, edges)
-        if (np.asarray(self.clamps.start) == Clamp.FREE).any():
-            begin = replace(begin, start=solution.configuration.start)
+    def followed(self, start: np.ndarray, quaternions: np.ndarray, material: Material, lengths: Lengths, pose: np.ndarray,
+                 up: np.ndarray, solver: Newton) -> Solution:
+        """F from relaxed rods with these frames (D, N, 4), and this ``start`` (D, 3) if that is free: all stay on their branch."""
+        clamps, edges = self.mesh_clamps(lengths, pose), np.full(self.edges, self.mesh(lengths).edge)
+        free = (np.asarray(self.clamps.start) == Clamp.FREE).any()
+        begin = Configuration(start if free else clamps.start_position, quaternions, edges)
         return relax(begin, material, clamps, replace(solver, first_shift=0.0), up=up, **self.around(lengths))
 
     def around(self, lengths: Lengths, rows: np.ndarray | None = None) -> dict:

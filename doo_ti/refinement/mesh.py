@@ -64,7 +64,7 @@ class Mesh:
         return 0.5 * (self.place[1:] + self.place[:-1])
 
     def slope(self, place: np.ndarray) -> np.ndarray:
-        """(X, GEOMETRY) derivative of arc lengths ``place`` (X,) at the same u = (s − s_0)/h, as those of joints and middles."""
+        """(X, GEOMETRY) derivative of arc lengths ``place`` (X,) at the same u = (s − s_0)/h, as of joints and middles."""
         return self.first_slope + ((place - self.place[0]) / self.edge)[:, None] * self.edge_slope
 
     @classmethod

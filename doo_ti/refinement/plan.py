@@ -187,8 +187,7 @@ def _information(seen: Observations, clamps, grid: Grid, names: tuple[str, ...],
         for cell in cells:
             theta = theta_of_cell(grid, cell, seen.up)
             values = unknowns.begun(theta, unknowns.clip_prior)
-            solution = rod.relaxed(unknowns.material(values), unknowns.lengths(values), unknowns.pose(values), Newton(),
-                                   theta.up)
+            solution = rod.relaxed(*unknowns.model(values), Newton())
             sound = solution.converged & solution.stable
             linear, _ = comparison.linear(solution, values, sound)
             found.append(integrated(unknowns, linear, scales)[0])

@@ -228,6 +228,10 @@ class Unknowns:
         edges, joints = (np.exp(self.stiffness_at(values, places))[None] for places in (mesh.middles, mesh.joints))
         return replace(material, bend=material.bend * edges[..., None, None], twist=material.twist * joints)
 
+    def model(self, values: Values) -> tuple[Material, Lengths, np.ndarray, np.ndarray]:
+        """The material on the mesh, the lengths, the poses of the clamps, and up: what :meth:`HeldRod.relaxed` takes."""
+        return self.material(values), self.lengths(values), self.pose(values), values.theta.up
+
     def stiffness_at(self, values: Values, places: np.ndarray) -> np.ndarray:
         """(X,) ln of the bend stiffness at arc lengths ``places`` (X,) over its geometric mean along the mesh, which is Θ's."""
         if not self.uneven:

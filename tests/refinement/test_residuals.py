@@ -72,7 +72,7 @@ def test_the_corrected_mesh_is_close_to_a_very_fine_one():
     values = unknowns.begun(TRUTH, np.array([2.25, 2.25]))
     values = replace(values, curvature=1e-3 * np.ones_like(values.curvature))
     rod, solver, none, lengths = unknowns.rod, Newton(), np.zeros((seen.count, POSE)), unknowns.lengths(values)
-    coarse = rod.relaxed(unknowns.material(values), lengths, none, solver, TRUTH.up)
+    coarse = rod.relaxed(unknowns.material(values), lengths, none, TRUTH.up, solver)
     finest = replace(unknowns, rod=replace(rod, edges=640))
     off = rod.marks(coarse, lengths) - finest.rod.marks(relaxed_on(finest, values, coarse, rod, solver), lengths)
     before, after = (np.abs(one).max() for one in (off, off + mesh_correction(unknowns, values, coarse, solver)))
@@ -108,7 +108,7 @@ def test_residuals_follow_the_unknowns(rng, theta, parameters, kinds, fields):
     rod, higher = held(seen, 34, kinds), fields.pop("table", None)
     if higher is not None:
         clips = Lengths(np.array([2.1, 3.4]), seen.rest_length)
-        hanging = rod.relaxed(theta.material, clips, np.zeros((3, POSE)), SHARP, theta.up).configuration.vertices
+        hanging = rod.relaxed(theta.material, clips, np.zeros((3, POSE)), theta.up, SHARP).configuration.vertices
         point = (hanging[..., 2].min(axis=1) + higher)[:, None] * (0, 0, 1)
         rod = replace(rod, surroundings=Surroundings([Plane(point, (0, 0, 1))], 0.5))
     comparison, scales = model(rod, parameters, **fields)
@@ -121,7 +121,7 @@ def test_residuals_follow_the_unknowns(rng, theta, parameters, kinds, fields):
     values = replace(values, spacing=0.01 * rng.normal(size=seen.edges))
     fit = Fit(comparison, values, SHARP)
     pose, lengths = unknowns.pose(values), unknowns.lengths(values)
-    state = fit.at(values, scales, rod.relaxed(unknowns.material(values), lengths, pose, SHARP, theta.up))
+    state = fit.at(values, scales, rod.relaxed(unknowns.material(values), lengths, pose, theta.up, SHARP))
     assert (state.solution.converged & state.solution.stable).all()
     linear, used = comparison.linear(state.solution, values, np.ones(3, dtype=bool))
     assert used.all()
