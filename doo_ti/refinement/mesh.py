@@ -138,7 +138,7 @@ def values_at(place: np.ndarray, knots: np.ndarray) -> tuple[np.ndarray, np.ndar
     outermost knots."""
     weights, slopes = np.zeros((2, len(place), len(knots)))
     rows = np.arange(len(place))
-    if len(knots) == 1:
+    if len(knots) < 2:
         weights[:] = 1.0
         return weights, slopes
     low = np.clip(np.searchsorted(knots, place, side="right") - 1, 0, len(knots) - 2)

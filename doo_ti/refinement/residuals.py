@@ -21,7 +21,7 @@ import numpy as np
 from doo_ti.refinement.held_rod import POSE
 from doo_ti.refinement.mesh import GEOMETRY, Lengths, Mesh
 from doo_ti.refinement.theta import Scales
-from doo_ti.refinement.unknowns import ALONG, Unknowns, Values
+from doo_ti.refinement.unknowns import ALONG, CLIPS, Unknowns, Values
 from doo_ti.relaxation.sensitivity import STIFFNESS_MODES, sensitivity
 from doo_ti.rod.types import Clamp, Solution
 
@@ -225,10 +225,10 @@ class Comparison:
         by_lengths = poses[..., :GEOMETRY] + of_joints + length * (mesh.edge_slope / mesh.edge) + sliding[..., :GEOMETRY]
         if uneven:
             by_lengths += of_uneven
-        ends = [end for end, name in enumerate(("clip_start", "clip_end")) if name in unknowns.names]
+        ends = [end for end, name in enumerate(CLIPS) if name in unknowns.names]
         parts = [of_theta @ chain, by_lengths[..., ends], of_knots, of_stiffness]
         if unknowns.turns:
-            parts.append(poses[..., GEOMETRY:] @ unknowns.constant_slopes[rows, None])
+            parts.append(poses[..., GEOMETRY:] @ unknowns.rod.constant_slopes[rows, None])
         if len(unknowns.columns("spacing")):
             parts.append(by_lengths[..., 2:] * unknowns.lengths(values).spacing + sliding[..., GEOMETRY:])
         if len(unknowns.outer_ends):

@@ -8,10 +8,10 @@ from scipy.spatial.transform import Rotation
 
 from doo_ti import Clamp, Newton, Plane, Surroundings, Theta
 from doo_ti.refinement.fit import Fit
-from doo_ti.refinement.held_rod import POSE
+from doo_ti.refinement.held_rod import POSE, TURNS
 from doo_ti.refinement.mesh import Lengths, covariance, knots_of, values_at
 from doo_ti.refinement.refine import mesh_correction, relaxed_on
-from doo_ti.refinement.unknowns import TURNS, Unknowns
+from doo_ti.refinement.unknowns import Unknowns
 from doo_ti.rod.frames import right_jacobian, rotation_matrix
 from tests.refinement.rods_between_clips import TRUTH, held, model, suture
 
