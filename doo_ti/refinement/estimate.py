@@ -263,34 +263,22 @@ def _reach(fit: Fit, fitted: Fitted, direction: np.ndarray, wanted: float, error
             return None
         if stuck and root < wanted:
             break
-        place = _next(np.array(places), np.array(roots), wanted)
-    reach = _crossing(np.array(places), np.array(roots), wanted, wanted * error)
+        place, last = _crossing(places, roots, wanted, 0.15), max(places)
+        place = place if place <= last else min(FARTHEST, float(np.clip(place, 1.2 * last, 2.5 * last)))
+    reach = _crossing(places, roots, wanted)
+    if reach >= 1.1 * max(places):  # too far beyond the trials: at least the value by the covariance
+        reach = max(wanted * error, reach)
     return reach if LEAST < reach < FARTHEST else None
 
 
-def _next(places: np.ndarray, roots: np.ndarray, wanted: float) -> float:
-    """The next trial: between the last place below and the first above, or further out."""
-    above = places[roots >= wanted]
-    if len(above):
-        high = above.min()
-        low = places[(roots < wanted) & (places < high)].max()
-        a, b = roots[places == low].max(), roots[places == high].min()
-        share = np.clip((wanted - a) / max(b - a, 1e-12), 0.15, 0.85)
-        return float(low + share * (high - low))
-    last = int(np.argmax(places))
-    slope = roots[last] / max(places[last], 1e-12)
-    return float(min(FARTHEST, places[last] * np.clip(wanted / max(slope * places[last], 1e-12), 1.2, 2.5)))
-
-
-def _crossing(places: np.ndarray, roots: np.ndarray, wanted: float, expected: float) -> float:
-    """Where the root is ``wanted``, between the trials or slightly beyond them; farther out, at least ``expected``, the value
-    by the covariance."""
+def _crossing(places: list[float], roots: list[float], wanted: float, margin: float = 0.0) -> float:
+    """Where the root is ``wanted``: on the line between the last trial below and the first above, ``margin`` of their distance
+    away from both at least; or beyond the trials, in proportion."""
     order = np.argsort(places)
-    places, roots = places[order], roots[order]
+    places, roots = np.array(places)[order], np.array(roots)[order]
     above = np.flatnonzero(roots >= wanted)
-    if len(above):
-        k = above[0]
-        share = (wanted - roots[k - 1]) / max(roots[k] - roots[k - 1], 1e-12)
-        return float(places[k - 1] + share * (places[k] - places[k - 1]))
-    grown = places[-1] * wanted / max(roots[-1], 1e-12)
-    return float(grown if grown < 1.1 * places[-1] else max(expected, grown))
+    if not len(above):
+        return float(places[-1] * wanted / max(roots[-1], 1e-12))
+    low, high = above[0] - 1, above[0]
+    share = np.clip((wanted - roots[low]) / max(roots[high] - roots[low], 1e-12), margin, 1 - margin)
+    return float(places[low] + share * (places[high] - places[low]))

@@ -50,7 +50,7 @@ class HeldRod:
     @property
     def length(self) -> float:
         """L as the observations state it, mm."""
-        return float(self.observations.rest_length.sum())
+        return self.observations.length
 
     @property
     def reported(self) -> tuple[bool, bool]:

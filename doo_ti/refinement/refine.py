@@ -207,7 +207,7 @@ def optima(observations: Observations, clamps: Clamps, thetas: tuple[Theta, ...]
 def first_edges(observations: Observations, theta: Theta) -> int:
     """As many as the marks need, and the bends beside clamps, √(EI/T) long, T half the rod's weight: on a coarser mesh the
     wrong one of several optima may fit better."""
-    length = float(observations.rest_length.sum())
+    length = observations.length
     layers = length * np.sqrt(2.0 * theta.weight * length / float(np.trace(theta.bend)))  # EI/w is α/(2 μ)
     wanted = max(2 * observations.edges, min(np.ceil(PER_LAYER * layers), MOST_FOR_LAYERS))
     return int(np.clip(wanted, FEWEST_EDGES, MOST_EDGES))
@@ -217,8 +217,8 @@ def check(observations: Observations, clamps: Clamps, options: RefinementOptions
     """Raise InputError for options that do not fit the observations or each other, and for rods inside obstacles."""
     if options.frame_weight > 0 and observations.frames is None:
         raise InputError(observations.source, "frames", "missing, but a frame weight is given", "use a frame weight of zero")
-    if options.clip is not None and not 0 <= options.clip < 0.25 * observations.rest_length.sum():
-        raise InputError(observations.source, "clip", f"{options.clip:g} mm of a rod of {observations.rest_length.sum():g} mm",
+    if options.clip is not None and not 0 <= options.clip < 0.25 * observations.length:
+        raise InputError(observations.source, "clip", f"{options.clip:g} mm of a rod of {observations.length:g} mm",
                          "give a length from zero up, below a quarter of the rod's")
     for name, value, known in (("curvature", options.curvature, ("auto", "field", "uniform", "none")),
                                ("stiffness", options.stiffness, ("auto", "uniform", "field")),

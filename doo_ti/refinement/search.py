@@ -17,6 +17,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
+from scipy.ndimage import generate_binary_structure, minimum_filter
 
 from doo_ti.refinement.evidence import integrated
 from doo_ti.refinement.fit import ODD, POSED, ROUGH, Fit, Fitted, State
@@ -172,12 +173,8 @@ def lowest_cells(grid: Grid, mean_distance: np.ndarray, count: int) -> np.ndarra
     """Up to ``count`` local minima of a landscape (G,) over the cells of ``grid``, the lowest first: cells with no lower
     neighbour along any axis. Cells that are NaN count as infinitely high."""
     height = np.nan_to_num(np.asarray(mean_distance, dtype=np.float64), nan=np.inf).reshape(grid.shape)
-    lowest = np.isfinite(height)
-    for axis in range(height.ndim):
-        cells, lowest_along = np.moveaxis(height, axis, 0), np.moveaxis(lowest, axis, 0)
-        lowest_along[1:] &= cells[1:] <= cells[:-1]
-        lowest_along[:-1] &= cells[:-1] <= cells[1:]
-    cells = np.flatnonzero(lowest)
+    around = minimum_filter(height, footprint=generate_binary_structure(height.ndim, 1), mode="nearest")
+    cells = np.flatnonzero((height <= around) & np.isfinite(height))
     return cells[np.argsort(height.ravel()[cells], kind="stable")][:count]
 
 

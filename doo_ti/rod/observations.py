@@ -82,8 +82,7 @@ class Observations:
                      spacing_error: float | None = None) -> None: ...
 
     def __repr__(self) -> str:
-        length = self.rest_length.sum()
-        return f"Observations({self.name}: {counted(self.count, 'rod')} of {self.edges + 1} marks, {length:.4g} mm long)"
+        return f"Observations({self.name}: {counted(self.count, 'rod')} of {self.edges + 1} marks, {self.length:.4g} mm long)"
 
     def __post_init__(self) -> None:
         vertices = self._numbers("vertices", ("D", "V", 3))
@@ -117,6 +116,16 @@ class Observations:
         """E, the number of edges."""
         return self.vertices.shape[1] - 1
 
+    @property
+    def place(self) -> np.ndarray:
+        """(V,) mm of rod from the first mark to each."""
+        return np.concatenate([[0.0], np.cumsum(self.rest_length)])
+
+    @property
+    def length(self) -> float:
+        """mm of rod between the outer marks."""
+        return float(self.rest_length.sum())
+
     def along_arcs(self) -> "Observations":
         """The same, with the lengths of arcs through the marks where rest lengths were not given. Marks on a rod of a material
         are joined by arcs; chords, the default, are those of a discrete rod whose vertices they are."""
@@ -142,7 +151,7 @@ class Observations:
         """The same rods by these of their marks, joined by the rest lengths between. Raises InputError for fewer than three,
         and where a frame or twist is that of edges that are no longer there."""
         index = np.arange(self.edges + 1)[kept]
-        arcs = np.concatenate([[0.0], np.cumsum(self.rest_length)])[index]
+        arcs = self.place[index]
         first, last = index[[0, -1]] if len(index) else (0, self.edges)
         lost = {"start_frame": first > 0, "end_frame": last < self.edges, "frames": len(index) <= self.edges,
                 "total_twist": first > 0 or last < self.edges}
