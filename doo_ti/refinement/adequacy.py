@@ -283,10 +283,8 @@ def _best_order(fitted: Fitted, row: int, usual: float) -> Mislabelled | None:
     def begun(rows: np.ndarray):
         own, same = seen.take(rows), np.full(len(rows), row)
         held = replace(rod.take(same, rolled=None), observations=own, clamps=observation_clamps(own, *kinds))
-        unknowns, correction = replace(fit.unknowns, rod=held), fit.comparison.correction
-        correction = correction if np.ndim(correction) == 0 else correction[same]
-        comparison = replace(Comparison.of(unknowns, fit.comparison.directors is not None), correction=correction)
-        among = replace(fit, comparison=comparison)
+        comparison = Comparison.of(replace(fit.unknowns, rod=held), fit.comparison.directors is not None)
+        among = replace(fit, comparison=replace(comparison, correction=fit.comparison.correction[same]))
         values = replace(state.values, scatter=np.zeros((len(rows), POSE)))
         return among, among.from_marks(values, state.scales)
 

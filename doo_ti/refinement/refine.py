@@ -282,7 +282,7 @@ def _refinement(best: Fitted, rivals: list[Fitted], options: RefinementOptions, 
         status=state.solution.status, stable=state.solution.stable, used=state.used, converged=fitted.converged,
         misfits=sound & ~state.used & fit.far(state), mislabelled=mislabelled(fitted), steps=fitted.steps,
         swivels=rod.swivels, turns_ignored=rod.observations.total_twist is None and measured_turns, mesh_edges=rod.edges,
-        mesh_error=None if np.ndim(correction) == 0 else _root_mean_square(correction[state.used]))
+        mesh_error=_root_mean_square(correction[state.used]) if options.edges is None else None)
 
 
 def finished(found: Fitted, options: RefinementOptions) -> Fitted:
@@ -301,18 +301,15 @@ def _corrected(fitted: Fitted, options: RefinementOptions) -> Fitted:
     """The fit repeated with the correction of its mesh, on a mesh twice as fine where the correction is too large."""
     fit = replace(fitted.fit, tolerance=FINE)
     for _ in range(CORRECTIONS):
-        values, solution = fitted.state.values, fitted.state.solution
-        correction = mesh_correction(fit.unknowns, values, solution, fit.solver)
-        size = _root_mean_square(correction[fitted.state.used])
-        noise = fitted.state.scales["marks"] * (1.0 if fit.unknowns.rod.observations.sigma is None
-                                                else float(np.nanmean(fit.unknowns.rod.observations.sigma)))
-        edges = fit.unknowns.rod.edges
-        if size > ASYMPTOTIC * noise and 2 * edges <= MOST_EDGES:
-            finer = replace(fit.unknowns, rod=replace(fit.unknowns.rod, edges=2 * edges))
-            solution = relaxed_on(finer, values, solution, fit.unknowns.rod, fit.solver)
-            fit = replace(fit, comparison=replace(fit.comparison, unknowns=finer, correction=0.0))
-            correction = mesh_correction(finer, values, solution, fit.solver)
-        fit = replace(fit, comparison=replace(fit.comparison, correction=correction))
+        values, solution, unknowns = fitted.state.values, fitted.state.solution, fit.unknowns
+        rod, sigma = unknowns.rod, unknowns.rod.observations.sigma
+        correction = mesh_correction(unknowns, values, solution, fit.solver)
+        noise = fitted.state.scales["marks"] * (1.0 if sigma is None else float(np.nanmean(sigma)))
+        if _root_mean_square(correction[fitted.state.used]) > ASYMPTOTIC * noise and 2 * rod.edges <= MOST_EDGES:
+            unknowns = replace(unknowns, rod=replace(rod, edges=2 * rod.edges))
+            solution = relaxed_on(unknowns, values, solution, rod, fit.solver)
+            correction = mesh_correction(unknowns, values, solution, fit.solver)
+        fit = replace(fit, comparison=replace(fit.comparison, unknowns=unknowns, correction=correction))
         fitted = fit.run(fit.at(values, fitted.state.scales, solution), options.iterations).after(fitted)
     if fit.unknowns.rod.turns_unknown:  # a misfit of the first mesh may have taken another turn
         fitted = turns_chosen_again(fitted, options.iterations)[0]

@@ -80,7 +80,7 @@ class Comparison:
     weight: np.ndarray  # (D, M) of marks: zero for those that are left out
     directors: np.ndarray | None  # (D, M − 1) one where m1 of an edge is compared; None where frames are not
     # (D, M, 3) change of the marks' places by a finer mesh, mm: :func:`doo_ti.refinement.refine.mesh_correction`
-    correction: np.ndarray | float = 0.0
+    correction: np.ndarray
 
     @classmethod
     def of(cls, unknowns: Unknowns, with_frames: bool) -> "Comparison":
@@ -94,11 +94,11 @@ class Comparison:
         sigma = np.ones(counts.shape) if seen.sigma is None else np.broadcast_to(seen.sigma, counts.shape)
         weight = np.where(counts, 1 / np.where(counts, sigma, 1.0), 0.0)
         if not with_frames:
-            return cls(unknowns, weight, None)
+            return cls(unknowns, weight, None, np.zeros_like(seen.vertices))
         directors = np.ones((seen.count, seen.edges))
         for kind, outer in ((clamps.start, 0), (clamps.end, -1)):
             directors[np.broadcast_to(np.asarray(kind) == Clamp.FRAME, seen.count), outer] = 0.0
-        return cls(unknowns, weight, directors)
+        return cls(unknowns, weight, directors, np.zeros_like(seen.vertices))
 
     @property
     def count(self) -> np.ndarray:

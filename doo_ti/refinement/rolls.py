@@ -162,13 +162,11 @@ def at_all_rolls(fit: Fit) -> Fit:
 
 def _of_rows(fit: Fit, rows: np.ndarray, roll: np.ndarray, copies: int = 1) -> Fit:
     """The fit whose rows are those ``rows`` of ``fit``, each at its ``roll``."""
-    comparison, rod = fit.comparison, fit.unknowns.rod
-    correction = comparison.correction
-    unknowns = replace(fit.unknowns, rod=rod.take(rows, roll, copies))
+    comparison, unknowns = fit.comparison, replace(fit.unknowns, rod=fit.unknowns.rod.take(rows, roll, copies))
     return replace(fit, rods=None if fit.rods is None else fit.rods[rows], comparison=replace(
         comparison, unknowns=unknowns, weight=comparison.weight[rows],
         directors=None if comparison.directors is None else comparison.directors[rows],
-        correction=correction if np.ndim(correction) == 0 else correction[rows]))
+        correction=comparison.correction[rows]))
 
 
 def in_turned_frames(scatter: np.ndarray, roll: np.ndarray) -> np.ndarray:
