@@ -252,19 +252,12 @@ def check(observations: Observations, clamps: Clamps, options: RefinementOptions
 
 def _scales(unknowns: Unknowns, options: RefinementOptions) -> Scales:
     seen = unknowns.rod.observations
-    learned, fixed = {"gap"}, {}
-    if seen.sigma is None:
-        learned.add("marks")
-    else:
-        fixed["marks"] = 1.0
-    if options.frame_weight > 0:
-        learned.add("frames")
-    place, turn = options.frame_error or (None, None)
-    for name, value in (("any_shift", place), ("turn", turn), ("turn_scatter", turn)):
-        if value is not None:
-            fixed[name] = value
-    learned |= unknowns.scale_names - set(fixed)
-    return typical_scales(unknowns.rod.length, float(np.median(seen.rest_length)), learned, fixed)
+    learned = {"gap", "marks"} | ({"frames"} if options.frame_weight > 0 else set()) | unknowns.scale_names
+    fixed = {} if seen.sigma is None else {"marks": 1.0}
+    if options.frame_error is not None:
+        place, turn = options.frame_error
+        fixed |= {"any_shift": place, "turn": turn, "turn_scatter": turn}
+    return typical_scales(unknowns.rod.length, float(np.median(seen.rest_length)), learned - set(fixed), fixed)
 
 
 def _refinement(best: Fitted, rivals: list[Fitted], options: RefinementOptions, measured_turns: bool) -> Refinement:

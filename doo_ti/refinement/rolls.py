@@ -171,10 +171,9 @@ def _of_rows(fit: Fit, rows: np.ndarray, roll: np.ndarray, copies: int = 1) -> F
 
 def in_turned_frames(scatter: np.ndarray, roll: np.ndarray) -> np.ndarray:
     """``scatter`` (R, POSE) of the same clamps, not rolled, in frames that are rolled by ``roll`` (R,)."""
-    found, c, s = scatter.copy(), np.cos(roll), np.sin(roll)
+    found, across = scatter.copy(), [column for column in range(POSE) if column % 3]
     found[:, 0] = 0.0
-    for y in range(1, POSE, 3):
-        found[:, y], found[:, y + 1] = c * scatter[:, y] + s * scatter[:, y + 1], c * scatter[:, y + 1] - s * scatter[:, y]
+    found[:, across] = turned(scatter[:, across], roll[:, None])
     return found
 
 

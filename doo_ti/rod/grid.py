@@ -213,10 +213,9 @@ def valley(grid: Grid, mean_distance: np.ndarray, fraction: float = 0.05) -> tup
         if len(axis) == 1:
             continue
         places, there = (np.unravel_index(cells, grid.shape)[number] for cells in (near, best))
-        spots = np.unique(places)
         between = np.sqrt(axis.values[1:] * axis.values[:-1]) if axis.log else 0.5 * (axis.values[1:] + axis.values[:-1])
         ends = np.concatenate([axis.values[:1], between, axis.values[-1:]])
-        first, last = spots[0], spots[-1]
+        first, last = places.min(), places.max()
         intervals.append(Interval(axis.name, float(axis.values[there]), float(ends[first]), float(ends[last + 1]),
                                   bool(first == 0), bool(last == len(axis) - 1)))
     return tuple(intervals)

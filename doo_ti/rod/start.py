@@ -174,10 +174,8 @@ def turn_hypotheses(observations: Annotated[Observations, "D"], clamps: Annotate
         angle = _closing_angle(_bishop(observations, clamps), clamps)
         nearest = np.round((observations.total_twist - angle) / (2 * np.pi)).astype(np.int64)
         return np.arange(observations.count), np.where(both, nearest, turns)
-    copies = np.where(both, 3, 1)
-    index = np.repeat(np.arange(observations.count), copies)
-    rank = np.arange(len(index)) - np.repeat(np.cumsum(copies) - copies, copies)
-    return index, np.where(both[index], rank - 1, 0)
+    index, rank = np.nonzero(both[:, None] | [False, True, False])
+    return index, rank - 1
 
 
 def held_spins(observations: Observations, clamps: Clamps, spin: np.ndarray) -> Clamps:
