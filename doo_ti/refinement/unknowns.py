@@ -27,7 +27,7 @@ import numpy as np
 
 from doo_ti.refinement.held_rod import POSE, TURNS, HeldRod
 from doo_ti.refinement.mesh import Field, Lengths, Mesh, knots_of, values_at
-from doo_ti.refinement.theta import Scales, Theta, common_rod, slope_of_entry
+from doo_ti.refinement.theta import Scales, Theta, common_rod, slopes_of_entries
 from doo_ti.rod.frames import rotation_matrix, tilt_axes, tilts_between
 from doo_ti.rod.types import Material
 from doo_ti.system.errors import InputError
@@ -279,7 +279,8 @@ class Unknowns:
         rows = []
         for name in elementary:
             if name in entries:
-                rows.append([slope_of_entry(name, unknown, theta.bend) if unknown in entries else 0.0 for unknown in names])
+                slopes = dict(zip(entries, slopes_of_entries(theta.bend)[entries.index(name)], strict=True))
+                rows.append([slopes.get(unknown, 0.0) for unknown in names])
             elif name == "up":
                 rows += [[float(unknown == f"up[{k}]") for unknown in names] for k in range(2)]
             else:

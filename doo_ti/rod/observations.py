@@ -144,7 +144,9 @@ class Observations:
         chords = np.linalg.norm(np.diff(marks, axis=1), axis=-1)
         both = chords[:, 1:] + chords[:, :-1]
         share = (both - np.linalg.norm(marks[:, 2:] - marks[:, :-2], axis=-1)) / (3 * both)
-        arcs = _chords(marks) * (1 + _over_edges(share))
+        joints = median_of_seen(share)
+        at_edges = median_of_seen(np.stack([np.append(joints, np.nan), np.append(np.nan, joints)]))  # of those at either end
+        arcs = _chords(marks) * (1 + np.nan_to_num(at_edges))
         return np.where(np.isnan(arcs), self.rest_length, arcs)
 
     def of_marks(self, kept: slice) -> "Observations":
@@ -297,12 +299,3 @@ def median_of_seen(values: np.ndarray) -> np.ndarray:
     """Median over the first axis without NaN; NaN where there is nothing else."""
     some = np.isfinite(values).any(axis=0)
     return np.where(some, np.nanmedian(np.where(some, values, 0.0), axis=0), np.nan)
-
-
-def _over_edges(share: np.ndarray) -> np.ndarray:
-    """(E,) mean over the two joints of each edge of the medians of ``share`` (D, E − 1), without those that no rod shows."""
-    median = median_of_seen(share)
-    seen, median = ~np.isnan(median), np.nan_to_num(median)
-    both = np.stack([np.append(median, 0.0), np.append(0.0, median)])
-    count = np.stack([np.append(seen, False), np.append(False, seen)])
-    return both.sum(axis=0) / np.maximum(count.sum(axis=0), 1)
