@@ -108,16 +108,11 @@ class Grid:
     def is_isotropic(self) -> bool:
         return self.bend_12 == 0 and self.axes[0].name == "bend"
 
-    def axis_values(self, cells: np.ndarray | slice = slice(None)) -> dict[str, np.ndarray]:
-        """(G,) values of each axis by its name, or only those of the ``cells`` named by index or slice."""
+    def cell_values(self, cells: np.ndarray | slice = slice(None)) -> dict[str, np.ndarray]:
+        """(G,) values of bend_1, bend_2, twist and weight, or only those of the ``cells`` named by index or slice."""
         if isinstance(cells, slice):
             cells = np.arange(*cells.indices(self.size))
-        places = np.unravel_index(cells, self.shape)
-        return {axis.name: axis.values[place] for axis, place in zip(self.axes, places)}
-
-    def cell_values(self, cells: np.ndarray | slice = slice(None)) -> dict[str, np.ndarray]:
-        """(G,) values of bend_1, bend_2, twist and weight, or only those of ``cells``."""
-        given = self.axis_values(cells)
+        given = {axis.name: axis.values[place] for axis, place in zip(self.axes, np.unravel_index(cells, self.shape))}
         bend_1 = given.get("bend", given.get("bend_1"))
         bend_2 = given.get("bend", given.get("bend_2"))
         twist = given["twist"] if "twist" in given else given["twist_ratio"] * bend_1
