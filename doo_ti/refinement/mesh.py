@@ -122,7 +122,9 @@ class Field:
 
     def covariance(self, scales: Scales) -> tuple[np.ndarray, np.ndarray]:
         """(K, K) prior covariance of the unknowns of one component, and its derivative by ln ρ."""
-        return covariance(self.knots, scales[self.name] * self.factor, scales[self.range])
+        r = np.sqrt(3) * np.abs(self.knots[:, None] - self.knots) / scales[self.range]
+        decay, variance = np.exp(-r), (scales[self.name] * self.factor) ** 2
+        return variance * ((1 + r) * decay + JITTER * np.eye(len(self.knots))), variance * r**2 * decay
 
 
 def knots_of(rest_length: np.ndarray) -> np.ndarray:
@@ -149,11 +151,3 @@ def values_at(place: np.ndarray, knots: np.ndarray) -> tuple[np.ndarray, np.ndar
     weights[rows, low], weights[rows, low + 1] = 1 - share, share
     slopes[rows, low], slopes[rows, low + 1] = np.where(inside, -1 / span, 0.0), np.where(inside, 1 / span, 0.0)
     return weights, slopes
-
-
-def covariance(knots: np.ndarray, spread: float, reach: float) -> tuple[np.ndarray, np.ndarray]:
-    """(K, K) covariance of one component at the knots for d = ``spread`` and ρ = ``reach``, and its derivative by ln ρ."""
-    r = np.sqrt(3) * np.abs(knots[:, None] - knots) / reach
-    decay = np.exp(-r)
-    matrix = spread**2 * ((1 + r) * decay + JITTER * np.eye(len(knots)))
-    return matrix, spread**2 * r**2 * decay

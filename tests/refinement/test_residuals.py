@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from doo_ti import Clamp, Newton, Plane, Surroundings, Theta
 from doo_ti.refinement.fit import Fit
 from doo_ti.refinement.held_rod import POSE, TURNS
-from doo_ti.refinement.mesh import Lengths, covariance, knots_of, values_at
+from doo_ti.refinement.mesh import Field, Lengths, knots_of, values_at
 from doo_ti.refinement.refine import mesh_correction, relaxed_on
 from doo_ti.refinement.unknowns import Unknowns
 from doo_ti.rod.frames import right_jacobian, rotation_matrix
@@ -58,8 +58,9 @@ def test_the_field_is_linear_between_knots_and_its_covariance_slopes_as_it_says(
     above, below = (values_at(place + step, knots)[0] @ values for step in (1e-7, -1e-7))
     smooth = np.abs(place[:, None] - knots).min(axis=1) > 1e-5
     np.testing.assert_allclose((slopes @ values)[smooth], ((above - below) / 2e-7)[smooth], atol=1e-6)
-    matrix, slope = covariance(knots, 2e-3, 12.0)
-    wider, narrower = (covariance(knots, 2e-3, 12.0 * np.exp(step))[0] for step in (1e-5, -1e-5))
+    field = Field("curvature", "range", knots, 2, 1.0)
+    matrix, slope = field.covariance({"curvature": 2e-3, "range": 12.0})
+    wider, narrower = (field.covariance({"curvature": 2e-3, "range": 12.0 * np.exp(step)})[0] for step in (1e-5, -1e-5))
     np.testing.assert_allclose(slope, (wider - narrower) / 2e-5, atol=1e-12)
     assert np.linalg.eigvalsh(matrix).min() > 0 and matrix[0, 0] == pytest.approx(4e-6, rel=1e-5)
     assert len(knots_of(np.full(200, 1.0))) == 16 and len(knots_of(np.full(12, 3.0))) == 11
