@@ -221,7 +221,7 @@ def whole_rods_in(run: Path, paths: list[Path], grid: Grid, terms: Terms, more: 
     """As :func:`rods_in`. Raises InputError, after the last file or before, unless the files hold each cell and term exactly
     once, and no others."""
     rods = grid.size * len(terms.key)
-    seen, count = np.zeros(-(-rods // 8), dtype=np.uint8), 0  # a bit for each rod
+    seen, count = np.zeros(rods, dtype=bool), 0
     fits = terms.dynamic or bool((terms.key == np.arange(len(terms.key))).all())
     for found in rods_in(paths, grid, terms, more):
         _, cell, term, _ = found
@@ -229,10 +229,10 @@ def whole_rods_in(run: Path, paths: list[Path], grid: Grid, terms: Terms, more: 
         if not fits:
             break
         rod = cell * np.int64(len(terms.key)) + term
-        np.bitwise_or.at(seen, rod >> 3, np.uint8(1) << (rod & 7).astype(np.uint8))
+        seen[rod] = True
         count += len(rod)
         yield found
-    if not fits or not count == np.bitwise_count(seen).sum(dtype=np.int64) == rods:
+    if not fits or not count == seen.sum() == rods:
         term = "pair" if terms.dynamic else "observation"
         raise InputError(run, "cells", f"do not hold each cell and {term} of the grid once", "run the sweep to its end")
 

@@ -310,7 +310,7 @@ def draw_regimes(stem: Path, name: str, experiment: Experiment, landscape: Lands
 def _ribbons(experiment: Experiment, landscape: Landscape, regimes: list[Regime]) -> list[Ribbons]:
     """Those of each regime, after the observed ones where frames were measured; their width is w_m of Eq. 1, if given."""
     observed, seen = experiment.observations, landscape.observation
-    width = experiment.options.frame_weight or observed.rest_length.sum() / 15
+    width = experiment.options.frame_weight or observed.length / 15
     ribbons = []
     if observed.frames is not None and observed.valid.all():
         sides = ribbon_sides(observed.vertices, observed.frames[..., 1], width)[seen]

@@ -99,9 +99,7 @@ class Landscape:
     def mean_distance(self) -> np.ndarray:
         """(G,) f(Θ) of Eq. 2 or 3 in mm over the compared terms; NaN in cells that do not compete, where not all these rods are
         sound."""
-        count = self.sound.sum(axis=1)  # a sound rod is of a compared term
-        return np.divide(self._sums(self.distance * self.weight), self.weight[self.compared].sum(),
-                         out=np.full(len(count), np.nan), where=(count == self.compared.sum()) & (count > 0))
+        return np.where(self.unsound == 0, self.distance_of_sound, np.nan)
 
     @property
     def distance_of_sound(self) -> np.ndarray:

@@ -77,7 +77,8 @@ def other_up(observations: Observations, clamps: Clamps, up: ArrayLike | None = 
     axes = axes[axes @ up < FAR]
     trial = _Trial.of(observations, clamps, surroundings)
     grids = [trial.squares(STIFFNESS, trial.ratios, direction) for direction in (up, *axes)]
-    floor = max(float(np.median(np.min([squares.min(axis=0) for squares in grids], axis=0))), (LEAST * trial.length) ** 2)
+    least = np.min([squares.min(axis=0) for squares in grids], axis=0)
+    floor = max(float(np.median(least)), (LEAST * trial.observations.length) ** 2)
     given, *others = (trial.least(squares, direction, floor) for squares, direction in zip(grids, (up, *axes), strict=True))
     no_weight = trial.squares(STIFFNESS[-1:], NO_WEIGHT_RATIOS if trial.twists else trial.ratios, up, weight=0.0)
     nothing, chance = max(_misfit(no_weight, floor).min(), given), CLEAR / np.sqrt(trial.observations.count)
@@ -132,10 +133,6 @@ class _Trial:
         return cls(observations, clamps, surroundings.take(rows), counts)
 
     @property
-    def length(self) -> float:
-        return float(self.observations.rest_length.sum())
-
-    @property
     def twists(self) -> bool:
         """Whether both ends hold the roll of some rod, so that the stiffness against twist matters."""
         return bool((np.minimum(self.clamps.start, self.clamps.end) == Clamp.FRAME).any())
@@ -152,7 +149,7 @@ class _Trial:
         index, turns = turn_hypotheses(seen, self.clamps)
         held = self.clamps.take(index)
         starts = start_configuration(seen.take(index), held, turns)
-        bend = 2 * self.length**3 * np.repeat(stiffness, len(ratios))
+        bend = 2 * seen.length**3 * np.repeat(stiffness, len(ratios))
         materials = Material(bend, bend * np.tile(ratios, len(stiffness)), weight)
         of_material, hypothesis = np.divmod(np.arange(materials.count * len(index)), len(index))
         rows = index[hypothesis]
@@ -161,7 +158,7 @@ class _Trial:
         apart = found.configuration.vertices - np.nan_to_num(seen.vertices)[rows]
         counts = self.counts[rows]
         square = np.where(counts, (apart**2).sum(axis=-1), 0.0).sum(axis=1) / np.maximum(counts.sum(axis=1), 1)
-        square = np.where(found.converged & found.stable, square, self.length**2).reshape(materials.count, len(index))
+        square = np.where(found.converged & found.stable, square, seen.length**2).reshape(materials.count, len(index))
         return np.minimum.reduceat(square, np.searchsorted(index, np.arange(seen.count)), axis=1)
 
     def least(self, squares: np.ndarray, up: np.ndarray, floor: float) -> float:

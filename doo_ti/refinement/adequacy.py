@@ -30,7 +30,7 @@ from doo_ti.refinement.fit import EXACT, ODD, Fit, Fitted, State
 from doo_ti.refinement.held_rod import POSE
 from doo_ti.refinement.residuals import Comparison
 from doo_ti.refinement.rolls import most_probable
-from doo_ti.refinement.search import Optimum
+from doo_ti.refinement.search import behind
 from doo_ti.refinement.unknowns import LOGARITHMIC, Unknowns, Values
 from doo_ti.rod.observations import Observations
 from doo_ti.rod.start import observation_clamps, reachable
@@ -86,9 +86,9 @@ class Adequacy:
         return self.gap <= NOTABLE * self.noise and (not self.stated or self.excess <= EXCESS)
 
 
-def adequacy(fit: Fit, fitted: Fitted) -> Adequacy:
+def adequacy(fitted: Fitted) -> Adequacy:
     """The residuals of a finished fit, examined."""
-    state, comparison = fitted.state, fit.comparison
+    fit, state, comparison = fitted.fit, fitted.state, fitted.fit.comparison
     rows = state.residuals[0][state.used].reshape(int(state.used.sum()), -1, 3)
     counts = comparison.weight[state.used] > 0
     stated = fit.unknowns.rod.observations.sigma is not None
@@ -97,7 +97,7 @@ def adequacy(fit: Fit, fitted: Fitted) -> Adequacy:
     gap = state.scales["gap"] * float(np.sqrt((comparison.gap_modes**2).sum(axis=1).mean()))
     degrees = max(3.0 * counts.sum() - len(fit.unknowns.names), 1.0)
     return Adequacy(noise, stated, float(np.sqrt((rows**2).sum() / degrees) / sigma), gap,
-                    _correlation(rows, counts), advice(fit, fitted), _influences(fit, fitted))
+                    _correlation(rows, counts), advice(fitted), _influences(fitted))
 
 
 def _correlation(rows: np.ndarray, counts: np.ndarray) -> float:
@@ -107,14 +107,14 @@ def _correlation(rows: np.ndarray, counts: np.ndarray) -> float:
     return float(crossed.sum() / sizes) if sizes > 0 else 0.0
 
 
-def _influences(fit: Fit, fitted: Fitted) -> tuple[Influence, ...]:
-    found, names = fitted.posterior, fit.unknowns.names
+def _influences(fitted: Fitted) -> tuple[Influence, ...]:
+    found, unknowns, names = fitted.posterior, fitted.fit.unknowns, fitted.fit.unknowns.names
     if fitted.counted.sum() < 2:  # all rests on it
         return ()
     moved = fitted.evidence.without_each(fitted.linear, fitted.state.scales) - found.step
     errors = np.sqrt(np.diag(found.covariance))
-    pairs = [(row, k) for k, name in enumerate(names[: fit.unknowns.theta_count]) if name in LOGARITHMIC
-             if not (name == "twist" and fit.unknowns.rod.twist_unknown)
+    pairs = [(row, k) for k, name in enumerate(names[: unknowns.theta_count]) if name in LOGARITHMIC
+             if not (name == "twist" and unknowns.rod.twist_unknown)
              for row in np.flatnonzero(fitted.state.used & (np.abs(moved[:, k]) > ERRORS * errors[k]))]
     pairs.sort(key=lambda pair: -abs(moved[pair]) / errors[pair[1]])
     return tuple(Influence(int(row), names[k], float(np.exp(moved[row, k]))) for row, k in pairs)
@@ -123,9 +123,9 @@ def _influences(fit: Fit, fitted: Fitted) -> tuple[Influence, ...]:
 # --- extensions of the model ----------------------------------------------------------------------------------------------
 
 
-def advice(fit: Fit, fitted: Fitted) -> tuple[Advice, ...]:
+def advice(fitted: Fitted) -> tuple[Advice, ...]:
     """Extensions of a finished fit that are worth trying, the best first."""
-    found = (Advice(option, meaning, _gain(fit, fitted, unknowns)) for option, meaning, unknowns in _extensions(fit.unknowns))
+    found = (Advice(option, meaning, _gain(fitted, unknowns)) for option, meaning, unknowns in _extensions(fitted.fit.unknowns))
     return tuple(sorted((one for one in found if one.gain > WORTH), key=lambda one: -one.gain))
 
 
@@ -157,13 +157,13 @@ def _held_by_frames(unknowns: Unknowns) -> bool:
     return seen.start_frame is not None and seen.end_frame is not None
 
 
-def _gain(fit: Fit, fitted: Fitted, unknowns: Unknowns) -> float:
+def _gain(fitted: Fitted, unknowns: Unknowns) -> float:
     """By how much −2 ln of the evidence is lower for ``unknowns``, in the linear model at the end of ``fitted``, its sizes
     fitted."""
     values = _with_fields(fitted.state.values, unknowns)
-    comparison = replace(fit.comparison, unknowns=unknowns)
+    comparison = replace(fitted.fit.comparison, unknowns=unknowns)
     linear, _ = comparison.linear(fitted.state.solution, values, fitted.state.used)
-    evidence = Evidence.of(unknowns, linear, unknowns.offset(values, fit.origin))
+    evidence = Evidence.of(unknowns, linear, unknowns.offset(values, fitted.fit.origin))
     scales = evidence.best(fitted.state.scales.learning(unknowns.scale_names), SEARCH_STEPS)
     return fitted.posterior.value - evidence.posterior(scales).value
 
@@ -178,27 +178,26 @@ def _with_fields(values: Values, unknowns: Unknowns) -> Values:
     return values
 
 
-def with_stiffness_along(found: list[Optimum], steps: int, stiffness: str) -> list[Optimum]:
+def with_stiffness_along(found: list[Fitted], steps: int, stiffness: str) -> list[Fitted]:
     """The optima ``found``, the best first, or these with a bend stiffness that varies along the rod, each continued for
     ``steps``: as ``stiffness`` of :class:`.RefinementOptions` says."""
     if stiffness == "uniform" or not found[0].fit.unknowns.round:
         return found
     first, *others = found
-    first = Optimum(*most_probable(first.fit, first.fitted))  # one row for each observation
-    if stiffness == "auto" and _gain(first.fit, first.fitted, replace(first.fit.unknowns, uneven=True)) <= WORTH:
+    first = most_probable(first)  # one row for each observation
+    if stiffness == "auto" and _gain(first, replace(first.fit.unknowns, uneven=True)) <= WORTH:
         return found
-    alone = [first, *(Optimum(*most_probable(one.fit, one.fitted)) for one in others)]
-    uneven = sorted((_continued(one, steps) for one in alone), key=lambda one: one.fitted.rank)
-    return uneven if stiffness == "field" or uneven[0].behind(first) < -WORTH else found
+    uneven = sorted((_continued(one, steps) for one in (first, *map(most_probable, others))), key=lambda one: one.rank)
+    return uneven if stiffness == "field" or behind(uneven[0], first) < -WORTH else found
 
 
-def _continued(found: Optimum, steps: int) -> Optimum:
-    """The optimum with a stiffness that varies along the rod."""
-    fit, fitted, state = found.fit, found.fitted, found.fitted.state
+def _continued(fitted: Fitted, steps: int) -> Fitted:
+    """The fit with a stiffness that varies along the rod."""
+    fit, state = fitted.fit, fitted.state
     unknowns = replace(fit.unknowns, uneven=True)
     fit = replace(fit, comparison=replace(fit.comparison, unknowns=unknowns))
     begun = fit.at(_with_fields(state.values, unknowns), state.scales.learning(unknowns.scale_names), state.solution)
-    return Optimum(fit, fit.run(replace(begun, used=state.used & begun.sound), steps).after(fitted))
+    return fit.run(replace(begun, used=state.used & begun.sound), steps).after(fitted)
 
 
 # --- other models ---------------------------------------------------------------------------------------------------------
@@ -214,9 +213,9 @@ class Score:
     rods: int  # number of rods that count in both
 
 
-def scores(fit: Fit, fitted: Fitted) -> tuple[Score, ...]:
+def scores(fitted: Fitted) -> tuple[Score, ...]:
     """The scores of all other models, each fitted from the end of ``fitted``."""
-    state, found = fitted.state, []
+    fit, state, found = fitted.fit, fitted.state, []
     own = fitted.evidence.left_out(fitted.linear, state.scales)
     for name, unknowns in _variants(fit.unknowns).items():
         same_field = unknowns.curvature == fit.unknowns.curvature
@@ -260,21 +259,21 @@ class Mislabelled:
         return f"marks {self.marks[0]} and {self.marks[1]}, counted from 0, are swapped"
 
 
-def mislabelled(fit: Fit, fitted: Fitted) -> tuple[Mislabelled, ...]:
+def mislabelled(fitted: Fitted) -> tuple[Mislabelled, ...]:
     """Those among the first MOST_MISFITS misfits of a finished fit."""
-    state = fitted.state
+    fit, state = fitted.fit, fitted.state
     misfits = np.flatnonzero(~state.used & (fit.comparison.count > 0) & fit.far(state))[:MOST_MISFITS]
     if fit.rods is not None or not state.used.any() or not len(misfits):
         return ()
     usual = ODD * max(np.median(fit.mean_squares(state.residuals)[state.used]), EXACT)
-    best = (_best_order(fit, fitted, int(row), usual) for row in misfits)
+    best = (_best_order(fitted, int(row), usual) for row in misfits)
     return tuple(one for one in best if one is not None)
 
 
-def _best_order(fit: Fit, fitted: Fitted, row: int, usual: float) -> Mislabelled | None:
+def _best_order(fitted: Fitted, row: int, usual: float) -> Mislabelled | None:
     """Of the orders of the marks of observation ``row`` that with the least mean square, below ``usual``: one with all marks
     where there is any."""
-    state, rod = fitted.state, fit.unknowns.rod
+    fit, state, rod = fitted.fit, fitted.state, fitted.fit.unknowns.rod
     kinds = [Clamp(int(np.max(kind))) for kind in (rod.clamps.start, rod.clamps.end)]
     # Marks alone of a rod that is held alike at both ends fit in either order: then another shape was found, not another order.
     orders, seen = _orders(rod.observations, row, any(rod.reported) or kinds[0] != kinds[1])
@@ -284,10 +283,8 @@ def _best_order(fit: Fit, fitted: Fitted, row: int, usual: float) -> Mislabelled
     def begun(rows: np.ndarray):
         own, same = seen.take(rows), np.full(len(rows), row)
         held = replace(rod.take(same, rolled=None), observations=own, clamps=observation_clamps(own, *kinds))
-        unknowns, correction = replace(fit.unknowns, rod=held), fit.comparison.correction
-        correction = correction if np.ndim(correction) == 0 else correction[same]
-        comparison = replace(Comparison.of(unknowns, fit.comparison.directors is not None), correction=correction)
-        among = replace(fit, comparison=comparison)
+        comparison = Comparison.of(replace(fit.unknowns, rod=held), fit.comparison.directors is not None)
+        among = replace(fit, comparison=replace(comparison, correction=fit.comparison.correction[same]))
         values = replace(state.values, scatter=np.zeros((len(rows), POSE)))
         return among, among.from_marks(values, state.scales)
 

@@ -17,7 +17,7 @@ import numpy as np
 from scipy.special import fdtri  # scipy.stats takes as long to import as the whole package
 
 from doo_ti.refinement.fit import OF_INTERVALS, Fit, Fitted
-from doo_ti.refinement.search import Optimum
+from doo_ti.refinement.search import behind
 from doo_ti.refinement.theta import Scales, Theta
 from doo_ti.refinement.unknowns import LOGARITHMIC, Unknowns, Values
 from doo_ti.rod.material import relative_stiffness
@@ -117,30 +117,29 @@ class Estimate:
         return half(parameter.low), half(parameter.high)
 
 
-def degrees_of(one: Optimum) -> float:
+def degrees_of(one: Fitted) -> float:
     """n of F(1, n). Marks of one rod are not independent where the rod's clamps are off: what counts is the number of rods."""
-    return max(float(one.fitted.counted.sum()) - one.fit.unknowns.theta_count, 1.0)
+    return max(float(one.counted.sum()) - one.fit.unknowns.theta_count, 1.0)
 
 
-def within_reach(optima: list[Optimum], margin: float = 0.0) -> list[Optimum]:
+def within_reach(optima: list[Fitted], margin: float = 0.0) -> list[Fitted]:
     """The best of ``optima``, then the others whose evidence is so near to its that they count in the intervals, and those by
     ``margin`` further behind."""
     first = optima[0]
-    behind = np.array([0.0, *(one.behind(first) for one in optima[1:])])
-    reach = behind.min() + fdtri(1, degrees_of(first), PROBABILITY) + margin
-    return [optima[k] for k in np.argsort(behind, kind="stable") if behind[k] <= reach]
+    apart = np.array([0.0, *(behind(one, first) for one in optima[1:])])
+    reach = apart.min() + fdtri(1, degrees_of(first), PROBABILITY) + margin
+    return [optima[k] for k in np.argsort(apart, kind="stable") if apart[k] <= reach]
 
 
-def estimated(best: Optimum, rivals: Sequence[Optimum] = (), profiled: bool = True) -> Estimate:
+def estimated(best: Fitted, rivals: Sequence[Fitted] = (), profiled: bool = True) -> Estimate:
     """The estimate of a finished fit. ``rivals``: optima of which the observations can hardly say that they are not the best;
     ``profiled``: intervals of Θ by the profile of the marginal likelihood, else by the covariance."""
-    fit, fitted = best.fit, best.fitted
-    unknowns, values, scales = fit.unknowns, fitted.state.values, fitted.state.scales
+    unknowns, values, scales = best.fit.unknowns, best.state.values, best.state.scales
     count, degrees = unknowns.theta_count, degrees_of(best)
     theta = unknowns.theta_at(values)
     found = _intervals(best, degrees, 0.0, profiled)
     for rival in rivals:
-        others = _intervals(rival, degrees, max(rival.behind(best), 0.0), profiled=False)
+        others = _intervals(rival, degrees, max(behind(rival, best), 0.0), profiled=False)
         shifts = _shifts(best, rival)
         found = {name: one.widened(others[name], shifts[name]) if name in others else one for name, one in found.items()}
     suffix = "/weight" if "weight" in unknowns.names else ""
@@ -154,27 +153,27 @@ def estimated(best: Optimum, rivals: Sequence[Optimum] = (), profiled: bool = Tr
                                      theta.bend)
                           for name in ("bend", "bend_1", "bend_2", "twist") if name + suffix in found),
         stiffness_along=np.exp(unknowns.stiffness_at(values, unknowns.lengths(values).mark_place)),
-        values=values, scales=scales, names=unknowns.names[:count], covariance=fitted.posterior.covariance[:count, :count],
-        degrees=degrees, rivals=tuple(one.fit.unknowns.theta_at(one.fitted.state.values) for one in rivals))
+        values=values, scales=scales, names=unknowns.names[:count], covariance=best.posterior.covariance[:count, :count],
+        degrees=degrees, rivals=tuple(one.fit.unknowns.theta_at(one.state.values) for one in rivals))
 
 
-def _intervals(one: Optimum, degrees: float, behind: float, profiled: bool) -> dict[str, "Interval"]:
-    """The intervals around an optimum whose F is ``behind`` above the least."""
+def _intervals(one: Fitted, degrees: float, above: float, profiled: bool) -> dict[str, "Interval"]:
+    """The intervals around an optimum whose F is by ``above`` larger than the least."""
     unknowns, found = one.fit.unknowns, {}
-    wanted = float(np.sqrt(max(fdtri(1, degrees, PROBABILITY) - behind, 0.0)))
+    wanted = float(np.sqrt(max(fdtri(1, degrees, PROBABILITY) - above, 0.0)))
     for name, direction in _directions(unknowns).items():
         assumed = name.startswith("twist") and unknowns.rod.twist_unknown  # to be that of a common rod
         by_profile = profiled and wanted > 0 and not assumed and not name.startswith(("up", "clip"))
         # A clip's end is a length, not a logarithm.
         farthest = 0.0 if assumed else np.inf if name.startswith("clip") else FARTHEST
-        found[name] = (interval(one.fit, one.fitted, direction, wanted) if by_profile
-                       else _by_covariance(one.fitted, direction, wanted, farthest))
+        found[name] = (interval(one, direction, wanted) if by_profile
+                       else _by_covariance(one, direction, wanted, farthest))
     return found
 
 
-def _shifts(best: Optimum, rival: Optimum) -> dict[str, float]:
+def _shifts(best: Fitted, rival: Fitted) -> dict[str, float]:
     """By how much each combination of unknowns is larger in ``rival``."""
-    before, after = ({name: float(direction @ one.fit.unknowns.offset(one.fitted.state.values, one.fit.origin))
+    before, after = ({name: float(direction @ one.fit.unknowns.offset(one.state.values, one.fit.origin))
                       for name, direction in _directions(one.fit.unknowns).items()} for one in (best, rival))
     return {name: after[name] - value for name, value in before.items() if name in after}
 
@@ -235,11 +234,11 @@ def _by_covariance(fitted: Fitted, direction: np.ndarray, wanted: float, farthes
     return Interval(-reach, reach, error) if reach < farthest else Interval(None, None, error)
 
 
-def interval(fit: Fit, fitted: Fitted, direction: np.ndarray, wanted: float) -> Interval:
+def interval(fitted: Fitted, direction: np.ndarray, wanted: float) -> Interval:
     """The interval of ``direction`` (P,) · x by the profile: where the root of F's rise becomes ``wanted``."""
     error = float(np.sqrt(direction @ fitted.posterior.covariance @ direction))
     held = replace(fitted, posterior=fitted.evidence.holding(direction).posterior(fitted.state.scales))
-    fit = replace(fit, rods=fitted.state.used, tolerance=OF_INTERVALS)
+    fit = replace(fitted.fit, rods=fitted.state.used, tolerance=OF_INTERVALS)
     low, high = (_reach(fit, fitted, sign * direction, wanted, error, held.level) for sign in (-1.0, 1.0))
     return Interval(None if low is None else -low, high, error)
 
@@ -264,34 +263,22 @@ def _reach(fit: Fit, fitted: Fitted, direction: np.ndarray, wanted: float, error
             return None
         if stuck and root < wanted:
             break
-        place = _next(np.array(places), np.array(roots), wanted)
-    reach = _crossing(np.array(places), np.array(roots), wanted, wanted * error)
+        place, last = _crossing(places, roots, wanted, 0.15), max(places)
+        place = place if place <= last else min(FARTHEST, float(np.clip(place, 1.2 * last, 2.5 * last)))
+    reach = _crossing(places, roots, wanted)
+    if reach >= 1.1 * max(places):  # too far beyond the trials: at least the value by the covariance
+        reach = max(wanted * error, reach)
     return reach if LEAST < reach < FARTHEST else None
 
 
-def _next(places: np.ndarray, roots: np.ndarray, wanted: float) -> float:
-    """The next trial: between the last place below and the first above, or further out."""
-    above = places[roots >= wanted]
-    if len(above):
-        high = above.min()
-        low = places[(roots < wanted) & (places < high)].max()
-        a, b = roots[places == low].max(), roots[places == high].min()
-        share = np.clip((wanted - a) / max(b - a, 1e-12), 0.15, 0.85)
-        return float(low + share * (high - low))
-    last = int(np.argmax(places))
-    slope = roots[last] / max(places[last], 1e-12)
-    return float(min(FARTHEST, places[last] * np.clip(wanted / max(slope * places[last], 1e-12), 1.2, 2.5)))
-
-
-def _crossing(places: np.ndarray, roots: np.ndarray, wanted: float, expected: float) -> float:
-    """Where the root is ``wanted``, between the trials or slightly beyond them; farther out, at least ``expected``, the value
-    by the covariance."""
+def _crossing(places: list[float], roots: list[float], wanted: float, margin: float = 0.0) -> float:
+    """Where the root is ``wanted``: on the line between the last trial below and the first above, ``margin`` of their distance
+    away from both at least; or beyond the trials, in proportion."""
     order = np.argsort(places)
-    places, roots = places[order], roots[order]
+    places, roots = np.array(places)[order], np.array(roots)[order]
     above = np.flatnonzero(roots >= wanted)
-    if len(above):
-        k = above[0]
-        share = (wanted - roots[k - 1]) / max(roots[k] - roots[k - 1], 1e-12)
-        return float(places[k - 1] + share * (places[k] - places[k - 1]))
-    grown = places[-1] * wanted / max(roots[-1], 1e-12)
-    return float(grown if grown < 1.1 * places[-1] else max(expected, grown))
+    if not len(above):
+        return float(places[-1] * wanted / max(roots[-1], 1e-12))
+    low, high = above[0] - 1, above[0]
+    share = np.clip((wanted - roots[low]) / max(roots[high] - roots[low], 1e-12), margin, 1 - margin)
+    return float(places[low] + share * (places[high] - places[low]))

@@ -65,16 +65,17 @@ class Evidence:
     offset: np.ndarray  # (P,) present values less the prior's mean: −x̄
     # (D,) weight of each observation, one unless several stand for the same rod (:mod:`doo_ti.refinement.rolls`)
     share: np.ndarray
-    constant: float = 0.0  # added to F
-    basis: np.ndarray | None = None  # (P, P') directions that are free, x = basis y + along; None: all
-    along: np.ndarray | None = None  # (P,) the given part of the step, along a held direction
+    constant: float  # added to F
+    basis: np.ndarray  # (P, P') directions that are free, x = basis y + along
+    along: np.ndarray  # (P,) the given part of the step, along a held direction
 
     @classmethod
     def of(cls, unknowns: Unknowns, linear: Sequence[Residuals], offset: np.ndarray, share: np.ndarray | None = None,
            constant: float = 0.0) -> "Evidence":
         """F of the linear model ``linear``."""
         share = np.ones(len(linear[0].values)) if share is None else share
-        return cls(unknowns, tuple(Moments.of(kind, share) for kind in linear), offset, share, constant)
+        return cls(unknowns, tuple(Moments.of(kind, share) for kind in linear), offset, share, constant, np.eye(len(offset)),
+                   np.zeros(len(offset)))
 
     def holding(self, direction: np.ndarray, amount: float = 0.0) -> "Evidence":
         """The same, but direction · x is held at ``amount``, ``direction`` (P,)."""
@@ -103,9 +104,9 @@ class Evidence:
         gradient = dict.fromkeys(NAMES, 0.0)
         value = self.constant + log_hessian - log_prior - float(share @ np.linalg.slogdet(inner)[1])
         # Σ w · spread over all kinds: each unknown and effect counts one, less what the priors know of it.
-        rods, each = float(share.sum()), effects.shape[1]
-        free = len(self.offset) if self.basis is None else self.basis.shape[1]
-        rest = free + rods * each - float((covariance_x * precision).sum() + (share @ (spread_z / variance)).sum())
+        rods = float(share.sum())
+        rest = self.basis.shape[1] + rods * effects.shape[1] - float(
+            (covariance_x * precision).sum() + (share @ (spread_z / variance)).sum())
         for w, kind in [*zip(weights, self.moments, strict=True)][::-1]:
             squares = self._squares(kind, step, effects)
             spread = rest / w if kind is self.moments[0] else float(
@@ -204,11 +205,9 @@ class Evidence:
 
     def _solved(self, hessian: np.ndarray, slope: np.ndarray, precision: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
         """(x̂, covariance of x, ln |H|) over the unknowns that are free."""
-        basis = np.eye(len(slope)) if self.basis is None else self.basis
+        basis = self.basis
         inverse, logarithm = _inverse(basis.T @ hessian @ basis, basis.T @ precision @ basis)
         inverse = basis @ inverse @ basis.T
-        if self.along is None:
-            return -inverse @ slope, inverse, logarithm
         return self.along - inverse @ (slope + hessian @ self.along), inverse, logarithm
 
     def _squares(self, kind: Moments, step: np.ndarray, effects: np.ndarray) -> float:

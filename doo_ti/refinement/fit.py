@@ -64,6 +64,7 @@ class State:
 class Fitted:
     """Where a fit ended, and the linear model there."""
 
+    fit: "Fit"  # the model
     state: State
     evidence: Evidence
     posterior: Posterior  # at the sizes of ``state``
@@ -134,16 +135,12 @@ class Fit:
 
     def from_marks(self, values: Values, scales: Scales, turn: int | None = None) -> State:
         """Rods relaxed from their observations, with as many whole turns as :meth:`HeldRod.relaxed` says."""
-        unknowns = self.unknowns
-        solution = unknowns.rod.relaxed(unknowns.material(values), unknowns.lengths(values), unknowns.pose(values), self.solver,
-                                        values.theta.up, turn=turn)
-        return self._state(values, scales, solution)
+        return self._state(values, scales, self.unknowns.rod.relaxed(*self.unknowns.model(values), self.solver, turn=turn))
 
     def at(self, values: Values, scales: Scales, solution: Solution) -> State:
         """``values`` with rods relaxed from ``solution``, which is on the same mesh."""
-        unknowns = self.unknowns
-        return self._state(values, scales, unknowns.rod.followed(
-            solution, unknowns.material(values), unknowns.lengths(values), unknowns.pose(values), self.solver, values.theta.up))
+        rods, model = solution.configuration, self.unknowns.model(values)
+        return self._state(values, scales, self.unknowns.rod.followed(rods.start, rods.quaternions, *model, self.solver))
 
     def posed(self, state: State, rows: np.ndarray | None = None, steps: int = POSE_STEPS) -> State:
         """``state`` with the most probable clamps of the observations ``rows`` (D,) bool, or of all. The shared unknowns stay.
@@ -258,7 +255,7 @@ class Fit:
             evidence = evidence.holding(direction, left)
         scales = evidence.best(state.scales, SCALE_STEPS)
         state = replace(state, scales=scales, used=used)
-        return Fitted(state, evidence, evidence.posterior(scales), linear, rest, False, 0)
+        return Fitted(self, state, evidence, evidence.posterior(scales), linear, rest, False, 0)
 
     def shares(self, state: State, linear: tuple[Residuals, ...]) -> tuple[np.ndarray, float, np.ndarray]:
         """(D,) the probability of each row among those that stand for the same observation, given the present unknowns; what
@@ -333,8 +330,7 @@ class Fit:
             return state, False
         unknowns, values = self.unknowns, state.values
         values = replace(values, scatter=np.where(state.used[:, None], values.scatter, 0.0))
-        anew = unknowns.rod.relaxed(unknowns.material(values), unknowns.lengths(values), unknowns.pose(values), self.solver,
-                                    values.theta.up, misfits, any_turn=True)
+        anew = unknowns.rod.relaxed(*unknowns.model(values), self.solver, misfits, any_turn=True)
         quaternions = state.solution.configuration.quaternions.copy()
         quaternions[misfits] = anew.configuration.quaternions
         moved = replace(state.solution, configuration=replace(state.solution.configuration, quaternions=quaternions))

@@ -24,6 +24,7 @@ from doo_ti.rod.start import choose_hypothesis, fill_missing, held_spins, span_e
 from doo_ti.rod.types import Clamp, Clamps, Configuration, Material, Solution
 
 POSE = 12  # numbers of two poses: rotations of the start and end clamps, displacements of the start and the end; rad and mm
+TURNS = 12  # numbers of the constant errors of clamps: rotations in the reported frames' axes, and in the world's
 SHORTENED = (1.0, 0.5, 0.25, 0.0)  # shares of the expected length of a clip with which a fit may begin
 TWIST = 3  # of these that which turns the end about its tangent
 INWARDS = (1.0, -1.0)  # of the start's tangent and of the end's: into the rod
@@ -49,7 +50,7 @@ class HeldRod:
     @property
     def length(self) -> float:
         """L as the observations state it, mm."""
-        return float(self.observations.rest_length.sum())
+        return self.observations.length
 
     @property
     def reported(self) -> tuple[bool, bool]:
@@ -106,6 +107,16 @@ class HeldRod:
     def loose(self) -> np.ndarray:
         """(POSE,) one for each number of the clamps' poses that is unknown in each observation."""
         return (np.array(self.pose_scales) != "").astype(float)
+
+    @cached_property
+    def constant_slopes(self) -> np.ndarray:
+        """(D, POSE, TURNS) derivatives of the poses by the constant errors of the reported frames."""
+        slopes = np.zeros((self.observations.count, POSE, TURNS))
+        for end, frame in enumerate((self.held.start_frame, self.held.end_frame)):
+            rows = slice(3 * end, 3 * end + 3)
+            slopes[:, rows, rows] = np.eye(3)
+            slopes[:, rows, 6 + 3 * end : 9 + 3 * end] = np.swapaxes(frame, 1, 2)
+        return slopes * (np.array(self.pose_scales) == "turn_scatter")[:, None]
 
     @cached_property
     def rolled_together(self) -> bool:
@@ -196,7 +207,7 @@ class HeldRod:
                 moved[end] -= half * mesh.edge * np.cross(turned[end], tangent[..., None], axis=1)
         return moved, turned
 
-    def relaxed(self, material: Material, lengths: Lengths, pose: np.ndarray, solver: Newton, up: np.ndarray,
+    def relaxed(self, material: Material, lengths: Lengths, pose: np.ndarray, up: np.ndarray, solver: Newton,
                 rows: np.ndarray | None = None, any_turn: bool = False, turn: int | None = None) -> Solution:
         """F from the observations, or from those of ``rows`` alone; of several whole turns the one nearest to the marks.
 
@@ -221,14 +232,12 @@ class HeldRod:
         around = self.around(lengths, rows[index[best]])
         return relax(starts.take(best), material, clamps.take(index[best]), solver, up=up, **around)
 
-    def followed(self, solution: Solution, material: Material, lengths: Lengths, pose: np.ndarray, solver: Newton,
-                 up: np.ndarray) -> Solution:
-        """F from ``solution``, which keeps every rod on its branch."""
-        clamps = self.mesh_clamps(lengths, pose)
-        edges = np.full(self.edges, self.mesh(lengths).edge)
-        begin = Configuration(clamps.start_position, solution.configuration.quaternions, edges)
-        if (np.asarray(self.clamps.start) == Clamp.FREE).any():
-            begin = replace(begin, start=solution.configuration.start)
+    def followed(self, start: np.ndarray, quaternions: np.ndarray, material: Material, lengths: Lengths, pose: np.ndarray,
+                 up: np.ndarray, solver: Newton) -> Solution:
+        """F from relaxed rods with these frames (D, N, 4), and this ``start`` (D, 3) if that is free, each on its branch."""
+        clamps, edges = self.mesh_clamps(lengths, pose), np.full(self.edges, self.mesh(lengths).edge)
+        free = (np.asarray(self.clamps.start) == Clamp.FREE).any()
+        begin = Configuration(start if free else clamps.start_position, quaternions, edges)
         return relax(begin, material, clamps, replace(solver, first_shift=0.0), up=up, **self.around(lengths))
 
     def around(self, lengths: Lengths, rows: np.ndarray | None = None) -> dict:

@@ -63,16 +63,9 @@ class Mesh:
         """(N,) mm, of the edges."""
         return 0.5 * (self.place[1:] + self.place[:-1])
 
-    @property
-    def middle_slope(self) -> np.ndarray:
-        """(N, GEOMETRY) derivative of :attr:`middles`."""
-        return self.first_slope + (np.arange(len(self.place) - 1)[:, None] + 0.5) * self.edge_slope
-
-    @property
-    def joint_slope(self) -> np.ndarray:
-        """(N − 1, GEOMETRY) derivative of :attr:`joints`."""
-        steps = np.arange(1, len(self.place) - 1)[:, None]
-        return self.first_slope + steps * self.edge_slope
+    def slope(self, place: np.ndarray) -> np.ndarray:
+        """(X, GEOMETRY) derivative of arc lengths ``place`` (X,) at the same u = (s − s_0)/h, as of joints and middles."""
+        return self.first_slope + ((place - self.place[0]) / self.edge)[:, None] * self.edge_slope
 
     @classmethod
     def between(cls, clamped: np.ndarray, edges: int, lengths: Lengths) -> "Mesh":
@@ -107,18 +100,12 @@ class Mesh:
 
     def at_edges(self, place: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """(X, N) weights of the edges, each at its middle and linear in between, and their derivatives by u."""
-        u = np.clip((place - self.place[0]) / self.edge - 0.5, 0.0, len(self.place) - 2)
-        low = np.minimum(u.astype(int), len(self.place) - 3)
-        weights, slopes = np.zeros((2, len(place), len(self.place) - 1))
-        rows = np.arange(len(place))
-        weights[rows, low], weights[rows, low + 1] = 1 - (u - low), u - low
-        slopes[rows, low], slopes[rows, low + 1] = -1.0, 1.0
-        return weights, slopes
+        weights, slopes = values_at(place, self.middles)
+        return weights, slopes * self.edge
 
     def slide(self, place: np.ndarray) -> np.ndarray:
         """(X, GEOMETRY) derivative of u = (s − s_0)/h at given arc lengths s."""
-        u = (place - self.place[0]) / self.edge
-        return -(self.first_slope + u[:, None] * self.edge_slope) / self.edge
+        return -self.slope(place) / self.edge
 
 
 # --- functions along the rod ----------------------------------------------------------------------------------------------
@@ -135,7 +122,9 @@ class Field:
 
     def covariance(self, scales: Scales) -> tuple[np.ndarray, np.ndarray]:
         """(K, K) prior covariance of the unknowns of one component, and its derivative by ln ρ."""
-        return covariance(self.knots, scales[self.name] * self.factor, scales[self.range])
+        r = np.sqrt(3) * np.abs(self.knots[:, None] - self.knots) / scales[self.range]
+        decay, variance = np.exp(-r), (scales[self.name] * self.factor) ** 2
+        return variance * ((1 + r) * decay + JITTER * np.eye(len(self.knots))), variance * r**2 * decay
 
 
 def knots_of(rest_length: np.ndarray) -> np.ndarray:
@@ -151,7 +140,7 @@ def values_at(place: np.ndarray, knots: np.ndarray) -> tuple[np.ndarray, np.ndar
     outermost knots."""
     weights, slopes = np.zeros((2, len(place), len(knots)))
     rows = np.arange(len(place))
-    if len(knots) == 1:
+    if len(knots) < 2:
         weights[:] = 1.0
         return weights, slopes
     low = np.clip(np.searchsorted(knots, place, side="right") - 1, 0, len(knots) - 2)
@@ -162,11 +151,3 @@ def values_at(place: np.ndarray, knots: np.ndarray) -> tuple[np.ndarray, np.ndar
     weights[rows, low], weights[rows, low + 1] = 1 - share, share
     slopes[rows, low], slopes[rows, low + 1] = np.where(inside, -1 / span, 0.0), np.where(inside, 1 / span, 0.0)
     return weights, slopes
-
-
-def covariance(knots: np.ndarray, spread: float, reach: float) -> tuple[np.ndarray, np.ndarray]:
-    """(K, K) covariance of one component at the knots for d = ``spread`` and ρ = ``reach``, and its derivative by ln ρ."""
-    r = np.sqrt(3) * np.abs(knots[:, None] - knots) / reach
-    decay = np.exp(-r)
-    matrix = spread**2 * ((1 + r) * decay + JITTER * np.eye(len(knots)))
-    return matrix, spread**2 * r**2 * decay

@@ -125,13 +125,13 @@ def plan(
 
 def _asked(grid: Grid, parameters: tuple[str, ...]) -> tuple[int, ...]:
     """The parameters that vary over the grid. Raises InputError where none does, or all do, as they share a scale."""
-    values = grid.cell_values() | ({"bend": grid.cell_values()["bend_1"]} if grid.is_isotropic else {})
-    asked = tuple(k for k, name in enumerate(parameters) if np.ptp(values[name]) > 0)
+    values = _values(grid, slice(None), parameters)
+    asked = tuple(np.flatnonzero(np.ptp(values, axis=0) > 0).tolist())
     if not asked:
         raise InputError(grid.source, "grid", "a single cell, so nothing is unknown", "give at least one range LO:HI:N")
     if len(asked) == len(parameters):
         raise InputError(grid.source, "weight", "varied beside all others", "only ratios matter: keep one parameter fixed")
-    logs = np.log(_values(grid, slice(None), [parameters[k] for k in asked]))
+    logs = np.log(values[:, list(asked)])
     if np.linalg.matrix_rank(logs - logs.mean(axis=0), tol=1e-9) < len(asked):
         raise InputError(grid.source, "twist", "proportional to bend, so that observations cannot separate them",
                          "give `twist` a number, or `twist_ratio` a range")
@@ -187,8 +187,7 @@ def _information(seen: Observations, clamps, grid: Grid, names: tuple[str, ...],
         for cell in cells:
             theta = theta_of_cell(grid, cell, seen.up)
             values = unknowns.begun(theta, unknowns.clip_prior)
-            solution = rod.relaxed(unknowns.material(values), unknowns.lengths(values), unknowns.pose(values), Newton(),
-                                   theta.up)
+            solution = rod.relaxed(*unknowns.model(values), Newton())
             sound = solution.converged & solution.stable
             linear, _ = comparison.linear(solution, values, sound)
             found.append(integrated(unknowns, linear, scales)[0])

@@ -21,19 +21,18 @@ import numpy as np
 from doo_ti.contact.surroundings import Surroundings
 from doo_ti.refinement.adequacy import Adequacy, Mislabelled, Score, adequacy, mislabelled, scores, with_stiffness_along
 from doo_ti.refinement.estimate import Estimate, estimated, within_reach
-from doo_ti.refinement.fit import FINE
+from doo_ti.refinement.fit import FINE, Fitted
 from doo_ti.refinement.held_rod import HeldRod
 from doo_ti.refinement.rolls import bent, most_probable
-from doo_ti.refinement.search import Optimum, once, searched, turns_chosen_again
+from doo_ti.refinement.search import once, searched, turns_chosen_again
 from doo_ti.refinement.theta import Scales, Theta, typical_scales
 from doo_ti.refinement.unknowns import Unknowns, Values
 from doo_ti.relaxation.contact_table import require_clear
 from doo_ti.relaxation.newton import Newton
-from doo_ti.relaxation.relax import relax
 from doo_ti.rod.frames import of_like_signs, unit_vectors
 from doo_ti.rod.observations import Observations
 from doo_ti.rod.start import start_configuration, turn_hypotheses
-from doo_ti.rod.types import Clamps, Configuration, Solution, Status
+from doo_ti.rod.types import Clamps, Solution, Status
 from doo_ti.system.arguments import short_repr, typed
 from doo_ti.system.errors import InputError
 
@@ -171,7 +170,7 @@ def refine(observations: Observations, clamps: Clamps, theta: Theta | Sequence[T
     return _refinement(best, rivals, options, observations.total_twist is not None)
 
 
-def _at_their_ends(found: list[Optimum], options: RefinementOptions) -> list[Optimum]:
+def _at_their_ends(found: list[Fitted], options: RefinementOptions) -> list[Fitted]:
     """The best of the optima and those near to it, to the tolerance FINE.
 
     Not while there are others: those that lose rods on the way, which are about to snap there, and rods that roll freely and
@@ -180,14 +179,13 @@ def _at_their_ends(found: list[Optimum], options: RefinementOptions) -> list[Opt
     while found:
         near = within_reach(found, MARGIN)
         ended = [to_its_end(one, options) for one in near]
-        kept = [now for before, now in zip(near, ended, strict=True)
-                if now.fitted.counted.sum() >= before.fitted.counted.sum()
-                and (not now.fit.unknowns.rod.swivels or bent(now.fit, [now.fitted]))]
+        kept = [now for before, now in zip(near, ended, strict=True) if now.counted.sum() >= before.counted.sum()
+                and (not now.fit.unknowns.rod.swivels or bent(now))]
         if kept:
             return kept
         lost += ended
         found = [one for one in found if not any(one is other for other in near)]
-    return within_reach(sorted(lost, key=lambda one: one.fitted.rank))
+    return within_reach(sorted(lost, key=lambda one: one.rank))
 
 
 def unknowns_of(rod: HeldRod, options: RefinementOptions) -> Unknowns:
@@ -196,7 +194,7 @@ def unknowns_of(rod: HeldRod, options: RefinementOptions) -> Unknowns:
     return Unknowns(rod, tuple(options.parameters), options.clip is None, curvature, options.twist_follows)
 
 
-def optima(observations: Observations, clamps: Clamps, thetas: tuple[Theta, ...], options: RefinementOptions) -> list[Optimum]:
+def optima(observations: Observations, clamps: Clamps, thetas: tuple[Theta, ...], options: RefinementOptions) -> list[Fitted]:
     """The optima of the fit on its first mesh, the best first."""
     check(observations, clamps, options)
     edges = options.edges or first_edges(observations, thetas[0])
@@ -209,7 +207,7 @@ def optima(observations: Observations, clamps: Clamps, thetas: tuple[Theta, ...]
 def first_edges(observations: Observations, theta: Theta) -> int:
     """As many as the marks need, and the bends beside clamps, √(EI/T) long, T half the rod's weight: on a coarser mesh the
     wrong one of several optima may fit better."""
-    length = float(observations.rest_length.sum())
+    length = observations.length
     layers = length * np.sqrt(2.0 * theta.weight * length / float(np.trace(theta.bend)))  # EI/w is α/(2 μ)
     wanted = max(2 * observations.edges, min(np.ceil(PER_LAYER * layers), MOST_FOR_LAYERS))
     return int(np.clip(wanted, FEWEST_EDGES, MOST_EDGES))
@@ -219,8 +217,8 @@ def check(observations: Observations, clamps: Clamps, options: RefinementOptions
     """Raise InputError for options that do not fit the observations or each other, and for rods inside obstacles."""
     if options.frame_weight > 0 and observations.frames is None:
         raise InputError(observations.source, "frames", "missing, but a frame weight is given", "use a frame weight of zero")
-    if options.clip is not None and not 0 <= options.clip < 0.25 * observations.rest_length.sum():
-        raise InputError(observations.source, "clip", f"{options.clip:g} mm of a rod of {observations.rest_length.sum():g} mm",
+    if options.clip is not None and not 0 <= options.clip < 0.25 * observations.length:
+        raise InputError(observations.source, "clip", f"{options.clip:g} mm of a rod of {observations.length:g} mm",
                          "give a length from zero up, below a quarter of the rod's")
     for name, value, known in (("curvature", options.curvature, ("auto", "field", "uniform", "none")),
                                ("stiffness", options.stiffness, ("auto", "uniform", "field")),
@@ -254,43 +252,35 @@ def check(observations: Observations, clamps: Clamps, options: RefinementOptions
 
 def _scales(unknowns: Unknowns, options: RefinementOptions) -> Scales:
     seen = unknowns.rod.observations
-    learned, fixed = {"gap"}, {}
-    if seen.sigma is None:
-        learned.add("marks")
-    else:
-        fixed["marks"] = 1.0
-    if options.frame_weight > 0:
-        learned.add("frames")
-    place, turn = options.frame_error or (None, None)
-    for name, value in (("any_shift", place), ("turn", turn), ("turn_scatter", turn)):
-        if value is not None:
-            fixed[name] = value
-    learned |= unknowns.scale_names - set(fixed)
-    return typical_scales(unknowns.rod.length, float(np.median(seen.rest_length)), learned, fixed)
+    learned = {"gap", "marks"} | ({"frames"} if options.frame_weight > 0 else set()) | unknowns.scale_names
+    fixed = {} if seen.sigma is None else {"marks": 1.0}
+    if options.frame_error is not None:
+        place, turn = options.frame_error
+        fixed |= {"any_shift": place, "turn": turn, "turn_scatter": turn}
+    return typical_scales(unknowns.rod.length, float(np.median(seen.rest_length)), learned - set(fixed), fixed)
 
 
-def _refinement(best: Optimum, rivals: list[Optimum], options: RefinementOptions, measured_turns: bool) -> Refinement:
-    fit, fitted = most_probable(best.fit, best.fitted)
-    state, rod, correction = fitted.state, fit.unknowns.rod, fit.comparison.correction
+def _refinement(best: Fitted, rivals: list[Fitted], options: RefinementOptions, measured_turns: bool) -> Refinement:
+    fitted = most_probable(best)
+    fit, state, rod, correction = fitted.fit, fitted.state, fitted.fit.unknowns.rod, fitted.fit.comparison.correction
     sound = state.sound
     lengths = fit.unknowns.lengths(state.values)
     marks = rod.marks(state.solution, lengths) + correction
     marks = np.where(sound[:, None, None], marks, np.nan)
     estimate = estimated(best, rivals, profiled=options.intervals == "profile")
     return Refinement(
-        estimate=replace(estimate, values=state.values), adequacy=adequacy(fit, fitted),
-        scores=scores(fit, fitted) if options.models else (), marks=marks, mean_squares=fit.mean_squares(state.residuals),
+        estimate=replace(estimate, values=state.values), adequacy=adequacy(fitted),
+        scores=scores(fitted) if options.models else (), marks=marks, mean_squares=fit.mean_squares(state.residuals),
         distance=rod.distance(marks, state.solution, lengths, options.frame_weight),
         status=state.solution.status, stable=state.solution.stable, used=state.used, converged=fitted.converged,
-        misfits=sound & ~state.used & fit.far(state), mislabelled=mislabelled(fit, fitted), steps=fitted.steps,
+        misfits=sound & ~state.used & fit.far(state), mislabelled=mislabelled(fitted), steps=fitted.steps,
         swivels=rod.swivels, turns_ignored=rod.observations.total_twist is None and measured_turns, mesh_edges=rod.edges,
-        mesh_error=None if np.ndim(correction) == 0 else _root_mean_square(correction[state.used]))
+        mesh_error=_root_mean_square(correction[state.used]) if options.edges is None else None)
 
 
-def finished(found: Optimum, options: RefinementOptions) -> Optimum:
+def finished(found: Fitted, options: RefinementOptions) -> Fitted:
     """The optimum to the tolerance FINE, from where the search has left it."""
-    fit = replace(found.fit, tolerance=FINE)
-    return Optimum(fit, fit.run(found.fitted.state, options.iterations).after(found.fitted))
+    return replace(found.fit, tolerance=FINE).run(found.state, options.iterations).after(found)
 
 
 def _root_mean_square(values: np.ndarray) -> float:
@@ -300,26 +290,23 @@ def _root_mean_square(values: np.ndarray) -> float:
 # --- the error of the mesh ------------------------------------------------------------------------------------------------
 
 
-def _corrected(found: Optimum, options: RefinementOptions) -> Optimum:
+def _corrected(fitted: Fitted, options: RefinementOptions) -> Fitted:
     """The fit repeated with the correction of its mesh, on a mesh twice as fine where the correction is too large."""
-    fit, fitted = replace(found.fit, tolerance=FINE), found.fitted
+    fit = replace(fitted.fit, tolerance=FINE)
     for _ in range(CORRECTIONS):
-        values, solution = fitted.state.values, fitted.state.solution
-        correction = mesh_correction(fit.unknowns, values, solution, fit.solver)
-        size = _root_mean_square(correction[fitted.state.used])
-        noise = fitted.state.scales["marks"] * (1.0 if fit.unknowns.rod.observations.sigma is None
-                                                else float(np.nanmean(fit.unknowns.rod.observations.sigma)))
-        edges = fit.unknowns.rod.edges
-        if size > ASYMPTOTIC * noise and 2 * edges <= MOST_EDGES:
-            finer = replace(fit.unknowns, rod=replace(fit.unknowns.rod, edges=2 * edges))
-            solution = relaxed_on(finer, values, solution, fit.unknowns.rod, fit.solver)
-            fit = replace(fit, comparison=replace(fit.comparison, unknowns=finer, correction=0.0))
-            correction = mesh_correction(finer, values, solution, fit.solver)
-        fit = replace(fit, comparison=replace(fit.comparison, correction=correction))
+        values, solution, unknowns = fitted.state.values, fitted.state.solution, fit.unknowns
+        rod, sigma = unknowns.rod, unknowns.rod.observations.sigma
+        correction = mesh_correction(unknowns, values, solution, fit.solver)
+        noise = fitted.state.scales["marks"] * (1.0 if sigma is None else float(np.nanmean(sigma)))
+        if _root_mean_square(correction[fitted.state.used]) > ASYMPTOTIC * noise and 2 * rod.edges <= MOST_EDGES:
+            unknowns = replace(unknowns, rod=replace(rod, edges=2 * rod.edges))
+            solution = relaxed_on(unknowns, values, solution, rod, fit.solver)
+            correction = mesh_correction(unknowns, values, solution, fit.solver)
+        fit = replace(fit, comparison=replace(fit.comparison, unknowns=unknowns, correction=correction))
         fitted = fit.run(fit.at(values, fitted.state.scales, solution), options.iterations).after(fitted)
     if fit.unknowns.rod.turns_unknown:  # a misfit of the first mesh may have taken another turn
-        fitted = turns_chosen_again(fit, fitted, options.iterations)[0]
-    return Optimum(fit, fitted)
+        fitted = turns_chosen_again(fitted, options.iterations)[0]
+    return fitted
 
 
 def mesh_correction(unknowns: Unknowns, values: Values, solution: Solution, solver: Newton) -> np.ndarray:
@@ -337,14 +324,8 @@ def mesh_correction(unknowns: Unknowns, values: Values, solution: Solution, solv
 
 def relaxed_on(unknowns: Unknowns, values: Values, solution: Solution, before: HeldRod, solver: Newton) -> Solution:
     """F on the mesh of ``unknowns``, starting from ``solution``, which is on the mesh of ``before``."""
-    rod = unknowns.rod
-    lengths = unknowns.lengths(values)
-    mesh, old = rod.mesh(lengths), before.mesh(lengths)
-    weights = old.at_edges(mesh.middles)[0]
+    rods, lengths = solution.configuration, unknowns.lengths(values)
+    weights = before.mesh(lengths).at_edges(unknowns.rod.mesh(lengths).middles)[0]
     # Of like signs, so that weighted means of them are frames between.
-    between = unit_vectors(np.einsum("xe,rek->rxk", weights, of_like_signs(solution.configuration.quaternions)))
-    clamps = rod.mesh_clamps(lengths, unknowns.pose(values))
-    start = np.where(np.isfinite(clamps.start_position), clamps.start_position, solution.configuration.start)
-    begin = Configuration(start, between, np.full(rod.edges, mesh.edge))
-    return relax(begin, unknowns.material(values), clamps, replace(solver, first_shift=0.0), up=values.theta.up,
-                 **rod.around(lengths))
+    between = unit_vectors(np.einsum("xe,rek->rxk", weights, of_like_signs(rods.quaternions)))
+    return unknowns.rod.followed(rods.start, between, *unknowns.model(values), solver)

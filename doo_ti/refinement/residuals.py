@@ -21,7 +21,7 @@ import numpy as np
 from doo_ti.refinement.held_rod import POSE
 from doo_ti.refinement.mesh import GEOMETRY, Lengths, Mesh
 from doo_ti.refinement.theta import Scales
-from doo_ti.refinement.unknowns import ALONG, Unknowns, Values
+from doo_ti.refinement.unknowns import ALONG, CLIPS, Unknowns, Values
 from doo_ti.relaxation.sensitivity import STIFFNESS_MODES, sensitivity
 from doo_ti.rod.types import Clamp, Solution
 
@@ -80,7 +80,7 @@ class Comparison:
     weight: np.ndarray  # (D, M) of marks: zero for those that are left out
     directors: np.ndarray | None  # (D, M − 1) one where m1 of an edge is compared; None where frames are not
     # (D, M, 3) change of the marks' places by a finer mesh, mm: :func:`doo_ti.refinement.refine.mesh_correction`
-    correction: np.ndarray | float = 0.0
+    correction: np.ndarray
 
     @classmethod
     def of(cls, unknowns: Unknowns, with_frames: bool) -> "Comparison":
@@ -94,11 +94,11 @@ class Comparison:
         sigma = np.ones(counts.shape) if seen.sigma is None else np.broadcast_to(seen.sigma, counts.shape)
         weight = np.where(counts, 1 / np.where(counts, sigma, 1.0), 0.0)
         if not with_frames:
-            return cls(unknowns, weight, None)
+            return cls(unknowns, weight, None, np.zeros_like(seen.vertices))
         directors = np.ones((seen.count, seen.edges))
         for kind, outer in ((clamps.start, 0), (clamps.end, -1)):
             directors[np.broadcast_to(np.asarray(kind) == Clamp.FRAME, seen.count), outer] = 0.0
-        return cls(unknowns, weight, directors)
+        return cls(unknowns, weight, directors, np.zeros_like(seen.vertices))
 
     @property
     def count(self) -> np.ndarray:
@@ -225,10 +225,10 @@ class Comparison:
         by_lengths = poses[..., :GEOMETRY] + of_joints + length * (mesh.edge_slope / mesh.edge) + sliding[..., :GEOMETRY]
         if uneven:
             by_lengths += of_uneven
-        ends = [end for end, name in enumerate(("clip_start", "clip_end")) if name in unknowns.names]
+        ends = [end for end, name in enumerate(CLIPS) if name in unknowns.names]
         parts = [of_theta @ chain, by_lengths[..., ends], of_knots, of_stiffness]
         if unknowns.turns:
-            parts.append(poses[..., GEOMETRY:] @ unknowns.constant_slopes[rows, None])
+            parts.append(poses[..., GEOMETRY:] @ unknowns.rod.constant_slopes[rows, None])
         if len(unknowns.columns("spacing")):
             parts.append(by_lengths[..., 2:] * unknowns.lengths(values).spacing + sliding[..., GEOMETRY:])
         if len(unknowns.outer_ends):

@@ -26,7 +26,7 @@ each of them for a coincidence, so such rods have a fit of their own, without th
 Axes: D observations, R rows, P shared unknowns, of which 2 K are those of the curvature at K knots.
 """
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -36,6 +36,7 @@ from doo_ti.refinement.fit import Fit, Fitted, State
 from doo_ti.refinement.held_rod import POSE, TWIST
 from doo_ti.refinement.theta import ANY_TWIST, NAMES, Scales
 from doo_ti.refinement.unknowns import Unknowns
+from doo_ti.rod.frames import rotation_vector, smallest_rotation
 
 ROLLS = np.linspace(-np.pi, np.pi, 48, endpoint=False)
 TWISTS = np.radians(np.arange(-210.0, 211.0, 30.0))
@@ -134,9 +135,10 @@ def turned(rows: np.ndarray, angle: np.ndarray) -> np.ndarray:
     return both.reshape(*both.shape[:-2], -1)
 
 
-def rolled(fit: Fit, fitted: Fitted, curvature: str) -> tuple[Fit, State]:
+def rolled(fitted: Fitted, curvature: str) -> tuple[Fit, State]:
     """The fit with that kind of rest curvature in which every observation has COPIES rows, and where it begins, from a finished
     fit of straight rods."""
+    fit = fitted.fit
     straight = replace(fit, comparison=replace(fit.comparison, unknowns=replace(fit.unknowns, curvature=curvature)))
     unknowns, state = straight.unknowns, fitted.state
     values = replace(state.values, curvature=np.zeros((len(unknowns.knots), 2)))
@@ -160,29 +162,26 @@ def at_all_rolls(fit: Fit) -> Fit:
 
 def _of_rows(fit: Fit, rows: np.ndarray, roll: np.ndarray, copies: int = 1) -> Fit:
     """The fit whose rows are those ``rows`` of ``fit``, each at its ``roll``."""
-    comparison, rod = fit.comparison, fit.unknowns.rod
-    correction = comparison.correction
-    unknowns = replace(fit.unknowns, rod=rod.take(rows, roll, copies))
+    comparison, unknowns = fit.comparison, replace(fit.unknowns, rod=fit.unknowns.rod.take(rows, roll, copies))
     return replace(fit, rods=None if fit.rods is None else fit.rods[rows], comparison=replace(
         comparison, unknowns=unknowns, weight=comparison.weight[rows],
         directors=None if comparison.directors is None else comparison.directors[rows],
-        correction=correction if np.ndim(correction) == 0 else correction[rows]))
+        correction=comparison.correction[rows]))
 
 
 def in_turned_frames(scatter: np.ndarray, roll: np.ndarray) -> np.ndarray:
     """``scatter`` (R, POSE) of the same clamps, not rolled, in frames that are rolled by ``roll`` (R,)."""
-    found, c, s = scatter.copy(), np.cos(roll), np.sin(roll)
+    found, across = scatter.copy(), [column for column in range(POSE) if column % 3]
     found[:, 0] = 0.0
-    for y in range(1, POSE, 3):
-        found[:, y], found[:, y + 1] = c * scatter[:, y] + s * scatter[:, y + 1], c * scatter[:, y + 1] - s * scatter[:, y]
+    found[:, across] = turned(scatter[:, across], roll[:, None])
     return found
 
 
-def most_probable(fit: Fit, fitted: Fitted) -> tuple[Fit, Fitted]:
+def most_probable(fitted: Fitted) -> Fitted:
     """The same fit with one row for each observation, that of its most probable roll."""
-    rod, state = fit.unknowns.rod, fitted.state
+    fit, rod, state = fitted.fit, fitted.fit.unknowns.rod, fitted.state
     if rod.copies == 1:
-        return fit, fitted
+        return fitted
     likely = rod.by_observation(fitted.evidence.share + state.used).argmax(axis=1)
     rows = likely + rod.copies * np.arange(len(likely))
     one, values = _of_rows(fit, rows, rod.rolled[rows]), replace(state.values, scatter=state.values.scatter[rows])
@@ -190,8 +189,8 @@ def most_probable(fit: Fit, fitted: Fitted) -> tuple[Fit, Fitted]:
     linear = tuple(replace(kind, values=kind.values[rows], shared=kind.shared[rows], effects=kind.effects[rows],
                            count=kind.count[rows]) for kind in fitted.linear)
     evidence = Evidence.of(one.unknowns, linear, fitted.evidence.offset)
-    return one, replace(fitted, state=state, evidence=evidence, posterior=evidence.posterior(state.scales), linear=linear,
-                        rest=np.zeros(len(rows)))
+    return replace(fitted, fit=one, state=state, evidence=evidence, posterior=evidence.posterior(state.scales), linear=linear,
+                   rest=np.zeros(len(rows)))
 
 
 def expected(scales: Scales, unknowns: Unknowns) -> Scales:
@@ -221,12 +220,12 @@ def _linear_model(fit: Fit, state: State, scales: Scales) -> LinearModel:
 # --- rods that roll freely ------------------------------------------------------------------------------------------------
 
 
-def swivelling(fit: Fit, fitted: Fitted, curvature: str) -> tuple[Fit, Iterator[State]]:
+def swivelling(fitted: Fitted, curvature: str) -> tuple[Fit, Iterator[State]]:
     """The fit with ends that roll freely and that kind of rest curvature, and where it may begin, from a finished fit of
     straight rods whose ends are held."""
-    rod = replace(fit.unknowns.rod, swivels=True)
+    fit, state, rod = fitted.fit, fitted.state, replace(fitted.fit.unknowns.rod, swivels=True)
     unknowns = replace(fit.unknowns, rod=rod, curvature=curvature)
-    free, state = replace(fit, comparison=replace(fit.comparison, unknowns=unknowns)), fitted.state
+    free = replace(fit, comparison=replace(fit.comparison, unknowns=unknowns))
     values = replace(state.values, scatter=_without_roll(fit, state))
     scales, own = expected(state.scales, unknowns), np.array(NAMES) == "curvature"
     scales = replace(scales, typical=np.where(own, SIZE / rod.length, scales.typical),
@@ -235,10 +234,10 @@ def swivelling(fit: Fit, fitted: Fitted, curvature: str) -> tuple[Fit, Iterator[
     return free, (free.posed(free.from_marks(replace(values, curvature=field), scales)) for field in fields)
 
 
-def bent(fit: Fit, fits: Iterable[Fitted]) -> list[Fitted]:
-    """Those of ``fits`` that are not straight."""
-    least = STRAIGHT / fit.unknowns.rod.length
-    return [one for one in fits if np.sqrt((one.state.values.curvature**2).sum(axis=1).mean()) >= least]
+def bent(fitted: Fitted) -> bool:
+    """Whether the rod is not straight at rest."""
+    size = np.sqrt((fitted.state.values.curvature**2).sum(axis=1).mean())
+    return bool(size >= STRAIGHT / fitted.fit.unknowns.rod.length)
 
 
 def _without_roll(fit: Fit, state: State) -> np.ndarray:
@@ -246,8 +245,5 @@ def _without_roll(fit: Fit, state: State) -> np.ndarray:
     scatter = state.values.scatter.copy()
     for end, (_, frame, _, now) in enumerate(fit.unknowns.rod.ends(fit.unknowns.pose(state.values))):
         tangent = np.einsum("dji,dj->di", frame, now[..., 0])
-        axis = np.cross([1.0, 0.0, 0.0], tangent)
-        sine = np.linalg.norm(axis, axis=1, keepdims=True)
-        angle = np.arctan2(sine, tangent[:, :1])
-        scatter[:, 3 * end : 3 * end + 3] = axis * angle / np.maximum(sine, 1e-300)
+        scatter[:, 3 * end : 3 * end + 3] = rotation_vector(smallest_rotation(np.array([1.0, 0.0, 0.0]), tangent))
     return scatter

@@ -13,10 +13,11 @@ posterior decides. At its end each observation's turns are chosen once more, und
 
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
+from scipy.ndimage import generate_binary_structure, minimum_filter
 
 from doo_ti.refinement.evidence import integrated
 from doo_ti.refinement.fit import ODD, POSED, ROUGH, Fit, Fitted, State
@@ -45,69 +46,61 @@ FAR_OFF = np.radians(3.0)  # of the errors of frames, above which measured whole
 AGAIN = 3  # how often each observation is chosen once more, as long as that changes any
 
 
-@dataclass(frozen=True)
-class Optimum:
-    """Where the fit of one model ended."""
+def behind(fitted: Fitted, best: Fitted) -> float:
+    """−2 ln of the evidence above that of ``best``. Where they count different rods it is that of the rods that count in
+    both, and each rod that one of them leaves out counts there as noise three times as large, with which rods become
+    misfits (:data:`doo_ti.refinement.fit.ODD`): a model may not win by fitting less."""
+    used = fitted.counted, best.counted
+    if np.array_equal(*used):
+        return fitted.value - best.value
+    coordinates = fitted.fit.unknowns.rod.by_observation(fitted.fit.comparison.count)[:, 0]
+    both = used[0] & used[1]
+    values = []
+    for one, counted in zip((fitted, best), used, strict=True):
+        rods = np.repeat(both, one.fit.unknowns.rod.copies)
+        state = replace(one.state, used=rods & one.state.used)
+        value = replace(one.fit, rods=rods).run(state, COMPARED).posterior.value if both.any() else 0.0
+        values.append(value + np.log(ODD) * float(coordinates[~counted].sum()))
+    return values[0] - values[1]
 
-    fit: Fit
-    fitted: Fitted
 
-    def behind(self, best: "Optimum") -> float:
-        """−2 ln of the evidence above that of ``best``. Where they count different rods it is that of the rods that count in
-        both, and each rod that one of them leaves out counts there as noise three times as large, with which rods become
-        misfits (:data:`doo_ti.refinement.fit.ODD`): a model may not win by fitting less."""
-        used = self.fitted.counted, best.fitted.counted
-        if np.array_equal(*used):
-            return self.fitted.value - best.fitted.value
-        rod = self.fit.unknowns.rod
-        coordinates = rod.by_observation(self.fit.comparison.count)[:, 0]
-        both = used[0] & used[1]
-        values = []
-        for one, counted in zip((self, best), used, strict=True):
-            rods = np.repeat(both, one.fit.unknowns.rod.copies)
-            state = replace(one.fitted.state, used=rods & one.fitted.state.used)
-            value = replace(one.fit, rods=rods).run(state, COMPARED).posterior.value if both.any() else 0.0
-            values.append(value + np.log(ODD) * float(coordinates[~counted].sum()))
-        return values[0] - values[1]
-
-    def like(self, other: "Optimum") -> bool:
-        """Whether Θ and the kind of model are the same."""
-        own, its = self.fit.unknowns, other.fit.unknowns
-        if (own.curvature, own.rod.swivels) != (its.curvature, its.rod.swivels):
-            return False
-        count = own.theta_count
-        apart = (one.fit.unknowns.offset(one.fitted.state.values, one.fit.origin)[:count] for one in (self, other))
-        errors = np.sqrt(np.diag(other.fitted.posterior.covariance)[:count])
-        return bool((np.abs(np.subtract(*apart)) <= SAME * errors).all())
+def alike(fitted: Fitted, other: Fitted) -> bool:
+    """Whether Θ and the kind of model are the same."""
+    own, its = fitted.fit.unknowns, other.fit.unknowns
+    if (own.curvature, own.rod.swivels) != (its.curvature, its.rod.swivels):
+        return False
+    count = own.theta_count
+    apart = (one.fit.unknowns.offset(one.state.values, one.fit.origin)[:count] for one in (fitted, other))
+    errors = np.sqrt(np.diag(other.posterior.covariance)[:count])
+    return bool((np.abs(np.subtract(*apart)) <= SAME * errors).all())
 
 
 def searched(unknowns: Unknowns, thetas: Sequence[Theta], clip: np.ndarray, scales: Scales, options: "RefinementOptions"
-             ) -> list[Optimum]:
+             ) -> list[Fitted]:
     """The optima that are reached from each of ``thetas`` and ``clip`` (2,), the clips' lengths, to the tolerance ROUGH. Raises
     InputError where no rod is converged and stable at any Θ."""
     rod, steps = unknowns.rod, options.iterations
     straight_first = rod.rolled_together and unknowns.curvature != "none" and all(one.rest_curvature is None for one in thetas)
     model = replace(unknowns, curvature="none") if straight_first else unknowns
     found = _from_thetas(Comparison.of(model, options.frame_weight > 0), thetas, clip, scales, options)
-    fit = found[0].fit
     if rod.turns_unknown and "twist" in model.parameters:
         found = _from_twists(found, scales, steps)
     if rod.rolls_known:
-        found = once([*(Optimum(fit, one) for one in turns_chosen_again(fit, found[0].fitted, steps)), *found])
+        found = once([*turns_chosen_again(found[0], steps), *found])
     seen = rod.observations
-    if rod.rolls_known and seen.total_twist is not None and found[0].fitted.state.scales["turn_scatter"] > FAR_OFF:
+    if rod.rolls_known and seen.total_twist is not None and found[0].state.scales["turn_scatter"] > FAR_OFF:
         unmeasured = replace(rod, observations=replace(seen, total_twist=None))
         found = _ordered(found, searched(replace(unknowns, rod=unmeasured), thetas, clip, scales, options))
     if straight_first:
-        fit, state = rolled(fit, found[0].fitted, unknowns.curvature)
-        curved = [Optimum(fit, fit.run(state, steps))]
-        free = _swivelling(found[0], min(found[0], curved[0], key=lambda one: one.fitted.rank), unknowns.curvature, steps)
+        fit, state = rolled(found[0], unknowns.curvature)
+        curved = [fit.run(state, steps)]
+        free = _swivelling(found[0], min(found[0], curved[0], key=lambda one: one.rank), unknowns.curvature, steps)
         found = _ordered(*([found[:1]] if options.curvature == "auto" else []), curved, free)
     return found
 
 
 def _from_thetas(comparison: Comparison, thetas: Sequence[Theta], clip: np.ndarray, scales: Scales,
-                 options: "RefinementOptions") -> list[Optimum]:
+                 options: "RefinementOptions") -> list[Fitted]:
     unknowns, tried = comparison.unknowns, []
     origin = replace(unknowns.begun(thetas[0], clip), theta=unknowns.expected(thetas[0]))
     fit = Fit(comparison, origin, options.solver, tolerance=ROUGH)
@@ -122,70 +115,66 @@ def _from_thetas(comparison: Comparison, thetas: Sequence[Theta], clip: np.ndarr
             last = error
     if not tried:
         raise last
-    return [Optimum(fit, tried[0])] if len(thetas) == 1 else _continued(fit, tried, options.iterations)[:1]
+    return tried if len(thetas) == 1 else _continued(tried, options.iterations)[:1]
 
 
-def _from_twists(found: list[Optimum], scales: Scales, steps: int) -> list[Optimum]:
+def _from_twists(found: list[Fitted], scales: Scales, steps: int) -> list[Fitted]:
     """``found`` with what is reached from the Θ of the best with other twist stiffnesses, once more as long as another Θ is
     better."""
     for _ in range(AGAIN):
-        (fit, best), before = (found[0].fit, found[0].fitted), found
-        tried = [fit.run(state, TRIED_FIRST) for state in twisted(fit, best.state.values, scales)]
-        found = once(sorted([*found, *_continued(fit, tried, steps)], key=lambda one: one.fitted.rank))
-        if found[0].like(before[0]):
+        best = found[0]
+        tried = [best.fit.run(state, TRIED_FIRST) for state in twisted(best.fit, best.state.values, scales)]
+        found = once(sorted([*found, *_continued(tried, steps)], key=lambda one: one.rank))
+        if alike(found[0], best):
             break
     return found
 
 
-def _swivelling(straight: Optimum, best: Optimum, curvature: str, steps: int) -> list[Optimum]:
+def _swivelling(straight: Fitted, best: Fitted, curvature: str, steps: int) -> list[Fitted]:
     """Optima of curved rods that roll freely, from the fit of straight ones that do not; none where these are far behind
     ``best``. Those that became straight say nothing that ``straight`` does not."""
-    fit, states = swivelling(straight.fit, straight.fitted, curvature)
-    tried = [fit.run(next(states), TRIED_FIRST)]
-    if Optimum(fit, tried[0]).behind(best) > HOPELESS:
+    fit, states = swivelling(straight, curvature)
+    first = fit.run(next(states), TRIED_FIRST)
+    if behind(first, best) > HOPELESS:
         return []
-    tried = bent(fit, [*tried, *(fit.run(state, TRIED_FIRST) for state in states)])
-    if not tried or Optimum(fit, min(tried, key=lambda one: one.rank)).behind(best) > NEAR:
+    tried = [one for one in (first, *(fit.run(state, TRIED_FIRST) for state in states)) if bent(one)]
+    if not tried or behind(min(tried, key=lambda one: one.rank), best) > NEAR:
         return []
-    return [one for one in _continued(fit, tried, steps) if one.fitted.converged and bent(fit, [one.fitted])]
+    return [one for one in _continued(tried, steps) if one.converged and bent(one)]
 
 
-def _continued(fit: Fit, tried: list[Fitted], steps: int) -> list[Optimum]:
+def _continued(tried: list[Fitted], steps: int) -> list[Fitted]:
     """Those of ``tried`` that are near the best, each continued for ``steps``, the best first."""
     tried, found = sorted(tried, key=lambda one: one.rank), []
     for one in tried:
         near = one.counted.sum() == tried[0].counted.sum() and one.value < tried[0].value + NEAR
-        if near and not any(Optimum(fit, one).like(other) for other in found):
-            found.append(Optimum(fit, fit.run(one.state, steps).after(one)))
-    return once(sorted(found, key=lambda one: one.fitted.rank))
+        if near and not any(alike(one, other) for other in found):
+            found.append(one.fit.run(one.state, steps).after(one))
+    return once(sorted(found, key=lambda one: one.rank))
 
 
-def once(optima: Iterable[Optimum]) -> list[Optimum]:
+def once(optima: Iterable[Fitted]) -> list[Fitted]:
     """Each optimum once."""
-    found: list[Optimum] = []
+    found: list[Fitted] = []
     for one in optima:
-        if not any(one.like(other) for other in found):
+        if not any(alike(one, other) for other in found):
             found.append(one)
     return found
 
 
-def _ordered(first: list[Optimum], *others: list[Optimum]) -> list[Optimum]:
+def _ordered(first: list[Fitted], *others: list[Fitted]) -> list[Fitted]:
     """All together, those of the most probable kind in front."""
-    behind = [0.0, *(kind[0].behind(first[0]) for kind in others if kind)]
     kinds = [first, *filter(None, others)]
-    return [one for k in np.argsort(behind, kind="stable") for one in kinds[k]]
+    apart = [0.0, *(behind(kind[0], first[0]) for kind in kinds[1:])]
+    return [one for k in np.argsort(apart, kind="stable") for one in kinds[k]]
 
 
 def lowest_cells(grid: Grid, mean_distance: np.ndarray, count: int) -> np.ndarray:
     """Up to ``count`` local minima of a landscape (G,) over the cells of ``grid``, the lowest first: cells with no lower
     neighbour along any axis. Cells that are NaN count as infinitely high."""
     height = np.nan_to_num(np.asarray(mean_distance, dtype=np.float64), nan=np.inf).reshape(grid.shape)
-    lowest = np.isfinite(height)
-    for axis in range(height.ndim):
-        cells, lowest_along = np.moveaxis(height, axis, 0), np.moveaxis(lowest, axis, 0)
-        lowest_along[1:] &= cells[1:] <= cells[:-1]
-        lowest_along[:-1] &= cells[:-1] <= cells[1:]
-    cells = np.flatnonzero(lowest)
+    around = minimum_filter(height, footprint=generate_binary_structure(height.ndim, 1), mode="nearest")
+    cells = np.flatnonzero((height <= around) & np.isfinite(height))
     return cells[np.argsort(height.ravel()[cells], kind="stable")][:count]
 
 
@@ -209,11 +198,12 @@ def twisted(fit: Fit, values: Values, scales: Scales) -> Iterator[State]:
             yield fit.begin(replace(values, theta=twisted, scatter=0 * values.scatter), scales)
 
 
-def turns_chosen_again(fit: Fit, fitted: Fitted, steps: int) -> list[Fitted]:
+def turns_chosen_again(fitted: Fitted, steps: int) -> list[Fitted]:
     """``fitted``, continued as long as that makes it better. Each time every observation takes the turns that are most probable
     under what was learned: of several, or of those that were measured and those that misfits took instead. All that were
     reached, the best first."""
-    turns, reached = TURNS if fit.unknowns.rod.turns_unknown else (None,), [fitted]
+    fit, reached = fitted.fit, [fitted]
+    turns = TURNS if fit.unknowns.rod.turns_unknown else (None,)
     for _ in range(AGAIN):
         state = reached[-1].state
         values = replace(state.values, scatter=0 * state.values.scatter)

@@ -90,15 +90,11 @@ def common_rod(theta: Theta) -> Theta:
     return replace(theta, twist=RATIO * float(np.sqrt(np.linalg.det(theta.bend))))
 
 
-def slope_of_entry(entry: str, unknown: str, bend: np.ndarray) -> float:
-    """Derivative of an entry of B by one of its unknowns."""
+def slopes_of_entries(bend: np.ndarray) -> np.ndarray:
+    """(3, 3) derivatives of B₁₁, B₂₂ and B₁₂ by ln B₁₁, ln B₂₂ and artanh B₁₂/√(B₁₁B₂₂)."""
     first, second, mixed = bend[0, 0], bend[1, 1], bend[0, 1]
-    if unknown == "bend_12":
-        root = np.sqrt(first * second)
-        return root - mixed**2 / root if entry == "bend_12" else 0.0
-    if entry == "bend_12":
-        return 0.5 * mixed
-    return {"bend_1": first, "bend_2": second}[entry] if entry == unknown else 0.0
+    root = np.sqrt(first * second)
+    return np.array([[first, 0.0, 0.0], [0.0, second, 0.0], [0.5 * mixed, 0.5 * mixed, root - mixed**2 / root]])
 
 
 # --- sizes -----------------------------------------------------------------------------------------------------------------

@@ -25,14 +25,15 @@ from functools import cached_property
 
 import numpy as np
 
-from doo_ti.refinement.held_rod import POSE, HeldRod
+from doo_ti.refinement.held_rod import POSE, TURNS, HeldRod
 from doo_ti.refinement.mesh import Field, Lengths, Mesh, knots_of, values_at
-from doo_ti.refinement.theta import Scales, Theta, common_rod, slope_of_entry
+from doo_ti.refinement.theta import Scales, Theta, common_rod, slopes_of_entries
 from doo_ti.rod.frames import rotation_matrix, tilt_axes, tilts_between
 from doo_ti.rod.types import Material
 from doo_ti.system.errors import InputError
 
 PARAMETERS = ("bend", "bend_1", "bend_2", "bend_12", "twist", "weight", "up")
+CLIPS = ("clip_start", "clip_end")
 LOGARITHMIC = ("bend", "bend_1", "bend_2", "twist", "weight")
 WIDE = 7.0  # standard deviation of the logarithm of a positive unknown: a factor of a thousand either way
 TILT = 0.1  # rad, of gravity's direction, where that is learned
@@ -42,7 +43,6 @@ RATIO_FACTOR = 0.4
 """Prior of twist over bend stiffness where nothing says how far the rod is twisted: standard deviation of its logarithm about
 that of a common rod."""
 OUTER_SPREAD = 0.1  # prior of by how much an outer mark beside a reported frame is off, in spacings of the outer marks
-TURNS = 12  # numbers of the constant errors of clamps
 ALONG = ("bend", "twist")  # what varies along an uneven rod
 
 
@@ -103,7 +103,7 @@ class Unknowns:
     def names(self) -> tuple[str, ...]:
         """(P,)"""
         of_theta = [part for name in self.parameters for part in (("up[0]", "up[1]") if name == "up" else (name,))]
-        ends = [name for name, held in zip(("clip_start", "clip_end"), self.rod.clamped, strict=True) if held and self.clips]
+        ends = [name for name, held in zip(CLIPS, self.rod.clamped, strict=True) if held and self.clips]
         seen = self.rod.observations
         fields = {field.name: field.components * len(field.knots) for field in self.fields}
         numbered = {**fields, "clamps": TURNS * self.turns,
@@ -228,6 +228,10 @@ class Unknowns:
         edges, joints = (np.exp(self.stiffness_at(values, places))[None] for places in (mesh.middles, mesh.joints))
         return replace(material, bend=material.bend * edges[..., None, None], twist=material.twist * joints)
 
+    def model(self, values: Values) -> tuple[Material, Lengths, np.ndarray, np.ndarray]:
+        """The material on the mesh, the lengths, the poses of the clamps, and up: what :meth:`HeldRod.relaxed` takes."""
+        return self.material(values), self.lengths(values), self.pose(values), values.theta.up
+
     def stiffness_at(self, values: Values, places: np.ndarray) -> np.ndarray:
         """(X,) ln of the bend stiffness at arc lengths ``places`` (X,) over its geometric mean along the mesh, which is Θ's."""
         if not self.uneven:
@@ -238,35 +242,26 @@ class Unknowns:
 
     def pose(self, values: Values) -> np.ndarray:
         """(D, POSE) the error of each clamp's pose in each observation."""
-        return values.scatter + np.einsum("dij,j->di", self.constant_slopes, values.constant)
-
-    @cached_property
-    def constant_slopes(self) -> np.ndarray:
-        """(D, POSE, TURNS) derivative of :meth:`pose` by the constant errors."""
-        clamps, count = self.rod.held, self.rod.observations.count
-        slopes = np.zeros((count, POSE, TURNS))
-        for end, frame in enumerate((clamps.start_frame, clamps.end_frame)):
-            rows = slice(3 * end, 3 * end + 3)
-            slopes[:, rows, rows] = np.eye(3)
-            slopes[:, rows, 6 + 3 * end : 9 + 3 * end] = np.swapaxes(frame, 1, 2)
-        return slopes * (np.array(self.rod.pose_scales) == "turn_scatter")[:, None]
+        return values.scatter + np.einsum("dij,j->di", self.rod.constant_slopes, values.constant)
 
     def modes(self, values: Values) -> tuple[np.ndarray, Mesh]:
         """(2 K + GEOMETRY, N − 1, 2) derivatives of the rest curvature on the mesh, by each unknown of the curvature and by the
         lengths, with which the joints slide along the rod; and the mesh."""
         mesh = self.rod.mesh(self.lengths(values))
-        weights, slopes = values_at(mesh.joints, self.knots) if len(self.knots) else (np.zeros((len(mesh.joints), 0)),) * 2
+        weights, slopes = values_at(mesh.joints, self.knots)
         by_knot = np.einsum("jk,ab->kajb", weights, np.eye(2)).reshape(-1, len(mesh.joints), 2) / self.rod.length
-        by_clip = np.einsum("jk,kb,je->ejb", slopes, values.curvature, mesh.joint_slope)
+        by_clip = np.einsum("jk,kb,je->ejb", slopes, values.curvature, mesh.slope(mesh.joints))
         return np.concatenate([by_knot, by_clip]), mesh
 
     def stiffness_modes(self, values: Values, mesh: Mesh, elementary: tuple[str, ...]) -> np.ndarray:
         """(K + GEOMETRY + ·, N − 1, 3) derivatives of ln B of both edges at each joint, and of ln β there, of a rod whose
         stiffness varies along it: by each unknown of the stiffness, by the lengths, with which the mesh slides along the rod,
         and by ln α and ln β, those of them that are ``elementary`` (:meth:`chain`)."""
-        edges, joints = (np.concatenate([weights, (slopes @ values.stiffness)[:, None] * sliding], axis=1) for (
-            weights, slopes), sliding in ((values_at(mesh.middles, self.stiffness_knots), mesh.middle_slope),
-                                          (values_at(mesh.joints, self.stiffness_knots), mesh.joint_slope)))
+        def at(places: np.ndarray) -> np.ndarray:
+            weights, slopes = values_at(places, self.stiffness_knots)
+            return np.concatenate([weights, (slopes @ values.stiffness)[:, None] * mesh.slope(places)], axis=1)
+
+        edges, joints = at(mesh.middles), at(mesh.joints)
         along = np.stack([edges[:-1], edges[1:], joints], axis=-1) - edges.mean(axis=0)[:, None]
         whole = np.array([[name == "bend"] * 2 + [name == "twist"] for name in ALONG if name in elementary], dtype=np.float64)
         return np.concatenate([np.moveaxis(along, 0, 1), np.repeat(whole.reshape(-1, 1, 3), len(joints), axis=1)])
@@ -284,7 +279,8 @@ class Unknowns:
         rows = []
         for name in elementary:
             if name in entries:
-                rows.append([slope_of_entry(name, unknown, theta.bend) if unknown in entries else 0.0 for unknown in names])
+                slopes = dict(zip(entries, slopes_of_entries(theta.bend)[entries.index(name)], strict=True))
+                rows.append([slopes.get(unknown, 0.0) for unknown in names])
             elif name == "up":
                 rows += [[float(unknown == f"up[{k}]") for unknown in names] for k in range(2)]
             else:
@@ -295,8 +291,7 @@ class Unknowns:
 
     def offset(self, values: Values, origin: Values) -> np.ndarray:
         """(P,) the unknowns less the mean of their prior; that of Θ is ``origin``."""
-        theta, start, clips = values.theta, origin.theta, self.clip_prior
-        parts = []
+        theta, start, parts = values.theta, origin.theta, []
         for name in self.names[: self.theta_count]:
             if name in LOGARITHMIC:
                 parts.append(np.log(theta.entries[name] / start.entries[name]))
@@ -304,11 +299,9 @@ class Unknowns:
                 parts.append(np.arctanh(theta.correlation) - np.arctanh(start.correlation))
             else:
                 parts.append(tilts_between(start.up, theta.up)[int(name[3])])
-        for end, name in enumerate(("clip_start", "clip_end")):
-            if name in self.names:
-                parts.append(values.clip[end] - clips[end])
+        clips = [apart for name, apart in zip(CLIPS, values.clip - self.clip_prior, strict=True) if name in self.names]
         constant = values.constant if self.turns else np.zeros(0)
-        return np.concatenate([parts, self.rod.length * values.curvature.ravel(), values.stiffness, constant,
+        return np.concatenate([parts, clips, self.rod.length * values.curvature.ravel(), values.stiffness, constant,
                                values.spacing[: len(self.columns("spacing"))], values.outer[self.outer_ends].ravel()])
 
     @property

@@ -225,16 +225,19 @@ def rotation_matrix(turn: np.ndarray) -> np.ndarray:
     return matrix_from_quaternion(quaternion_of_turn(turn))
 
 
+def cross_matrix(vector: np.ndarray) -> np.ndarray:
+    """(..., 3, 3) matrix of u → ``vector`` × u."""
+    return np.swapaxes(np.cross(vector[..., None, :], np.eye(3)), -1, -2)
+
+
 def right_jacobian(turn: np.ndarray) -> np.ndarray:
     """(..., 3, 3) J of Exp(turn + d) = Exp(turn) Exp(J d) to first order, of rotation vectors (..., 3)."""
-    angle = np.linalg.norm(turn, axis=-1)[..., None, None]
-    cross = np.cross(np.eye(3), turn[..., None, :])  # rows e_k × turn: the matrix of turn × once transposed
-    cross = np.swapaxes(cross, -1, -2)
+    angle, cross = np.linalg.norm(turn, axis=-1)[..., None, None], cross_matrix(turn)
     small = angle < 1e-4
     safe = np.where(small, 1.0, angle)
     first = np.where(small, 0.5 - angle**2 / 24, (1 - np.cos(safe)) / safe**2)
     second = np.where(small, 1 / 6 - angle**2 / 120, (safe - np.sin(safe)) / safe**3)
-    return np.eye(3) + first * cross + second * cross @ cross
+    return np.eye(3) - first * cross + second * cross @ cross
 
 
 def turned_about_tangent(frame: np.ndarray, angle: np.ndarray) -> np.ndarray:
@@ -259,9 +262,7 @@ def tilt_axes(up: np.ndarray) -> np.ndarray:
 
 def tilts_between(origin: np.ndarray, up: np.ndarray) -> np.ndarray:
     """(2,) the tilts of ``up`` that lead from ``origin`` to ``up``."""
-    turn = np.cross(origin, up)
-    sine = np.linalg.norm(turn)
-    return tilt_axes(origin) @ turn * (np.arctan2(sine, origin @ up) / max(sine, 1e-300))
+    return tilt_axes(origin) @ rotation_vector(smallest_rotation(origin, up))
 
 
 # --- curves of points, in an image or in space --------------------------------------------------------------------------

@@ -108,16 +108,11 @@ class Grid:
     def is_isotropic(self) -> bool:
         return self.bend_12 == 0 and self.axes[0].name == "bend"
 
-    def axis_values(self, cells: np.ndarray | slice = slice(None)) -> dict[str, np.ndarray]:
-        """(G,) values of each axis by its name, or only those of the ``cells`` named by index or slice."""
+    def cell_values(self, cells: np.ndarray | slice = slice(None)) -> dict[str, np.ndarray]:
+        """(G,) values of bend_1, bend_2, twist and weight, or only those of the ``cells`` named by index or slice."""
         if isinstance(cells, slice):
             cells = np.arange(*cells.indices(self.size))
-        places = np.unravel_index(cells, self.shape)
-        return {axis.name: axis.values[place] for axis, place in zip(self.axes, places)}
-
-    def cell_values(self, cells: np.ndarray | slice = slice(None)) -> dict[str, np.ndarray]:
-        """(G,) values of bend_1, bend_2, twist and weight, or only those of ``cells``."""
-        given = self.axis_values(cells)
+        given = {axis.name: axis.values[place] for axis, place in zip(self.axes, np.unravel_index(cells, self.shape))}
         bend_1 = given.get("bend", given.get("bend_1"))
         bend_2 = given.get("bend", given.get("bend_2"))
         twist = given["twist"] if "twist" in given else given["twist_ratio"] * bend_1
@@ -213,10 +208,9 @@ def valley(grid: Grid, mean_distance: np.ndarray, fraction: float = 0.05) -> tup
         if len(axis) == 1:
             continue
         places, there = (np.unravel_index(cells, grid.shape)[number] for cells in (near, best))
-        spots = np.unique(places)
         between = np.sqrt(axis.values[1:] * axis.values[:-1]) if axis.log else 0.5 * (axis.values[1:] + axis.values[:-1])
         ends = np.concatenate([axis.values[:1], between, axis.values[-1:]])
-        first, last = spots[0], spots[-1]
+        first, last = places.min(), places.max()
         intervals.append(Interval(axis.name, float(axis.values[there]), float(ends[first]), float(ends[last + 1]),
                                   bool(first == 0), bool(last == len(axis) - 1)))
     return tuple(intervals)

@@ -82,8 +82,7 @@ class Observations:
                      spacing_error: float | None = None) -> None: ...
 
     def __repr__(self) -> str:
-        length = self.rest_length.sum()
-        return f"Observations({self.name}: {counted(self.count, 'rod')} of {self.edges + 1} marks, {length:.4g} mm long)"
+        return f"Observations({self.name}: {counted(self.count, 'rod')} of {self.edges + 1} marks, {self.length:.4g} mm long)"
 
     def __post_init__(self) -> None:
         vertices = self._numbers("vertices", ("D", "V", 3))
@@ -117,6 +116,16 @@ class Observations:
         """E, the number of edges."""
         return self.vertices.shape[1] - 1
 
+    @property
+    def place(self) -> np.ndarray:
+        """(V,) mm of rod from the first mark to each."""
+        return np.concatenate([[0.0], np.cumsum(self.rest_length)])
+
+    @property
+    def length(self) -> float:
+        """mm of rod between the outer marks."""
+        return float(self.rest_length.sum())
+
     def along_arcs(self) -> "Observations":
         """The same, with the lengths of arcs through the marks where rest lengths were not given. Marks on a rod of a material
         are joined by arcs; chords, the default, are those of a discrete rod whose vertices they are."""
@@ -135,14 +144,16 @@ class Observations:
         chords = np.linalg.norm(np.diff(marks, axis=1), axis=-1)
         both = chords[:, 1:] + chords[:, :-1]
         share = (both - np.linalg.norm(marks[:, 2:] - marks[:, :-2], axis=-1)) / (3 * both)
-        arcs = _chords(marks) * (1 + _over_edges(share))
+        joints = median_of_seen(share)
+        at_edges = median_of_seen(np.stack([np.append(joints, np.nan), np.append(np.nan, joints)]))  # of those at either end
+        arcs = _chords(marks) * (1 + np.nan_to_num(at_edges))
         return np.where(np.isnan(arcs), self.rest_length, arcs)
 
     def of_marks(self, kept: slice) -> "Observations":
         """The same rods by these of their marks, joined by the rest lengths between. Raises InputError for fewer than three,
         and where a frame or twist is that of edges that are no longer there."""
         index = np.arange(self.edges + 1)[kept]
-        arcs = np.concatenate([[0.0], np.cumsum(self.rest_length)])[index]
+        arcs = self.place[index]
         first, last = index[[0, -1]] if len(index) else (0, self.edges)
         lost = {"start_frame": first > 0, "end_frame": last < self.edges, "frames": len(index) <= self.edges,
                 "total_twist": first > 0 or last < self.edges}
@@ -288,12 +299,3 @@ def median_of_seen(values: np.ndarray) -> np.ndarray:
     """Median over the first axis without NaN; NaN where there is nothing else."""
     some = np.isfinite(values).any(axis=0)
     return np.where(some, np.nanmedian(np.where(some, values, 0.0), axis=0), np.nan)
-
-
-def _over_edges(share: np.ndarray) -> np.ndarray:
-    """(E,) mean over the two joints of each edge of the medians of ``share`` (D, E − 1), without those that no rod shows."""
-    median = median_of_seen(share)
-    seen, median = ~np.isnan(median), np.nan_to_num(median)
-    both = np.stack([np.append(median, 0.0), np.append(0.0, median)])
-    count = np.stack([np.append(seen, False), np.append(False, seen)])
-    return both.sum(axis=0) / np.maximum(count.sum(axis=0), 1)

@@ -20,8 +20,11 @@ from numpy.typing import ArrayLike
 
 from doo_ti.rod.frames import (
     across,
+    arc_lengths,
     bishop_frames,
     conjugate,
+    curve_length,
+    placed,
     quaternion_from_matrix,
     quaternion_product,
     tangent_from_quaternion,
@@ -235,16 +238,16 @@ def rod_along(points: ArrayLike, edges: int | ArrayLike, *, vertex_clamps: bool 
     shares = real_array("rod_along", "edges", edges, "give a number, or the lengths of at least two").astype(np.float64)
     if shares.ndim != 1 or len(shares) < 2 or not ((shares > 0) & (shares <= LARGEST)).all():
         raise InputError("rod_along", "edges", f"shape {shares.shape}, or not positive", "give the lengths of at least two")
-    arc = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=-1))])
+    arc = arc_lengths(points)
     if not arc[-1] > 0:
         raise InputError("rod_along", "points", "all the same", "give points along a curve")
     ends = np.concatenate([[0.0], np.cumsum(shares)]) / shares.sum()
     place = ends * arc[-1]
     for _ in range(EQUALISATIONS):
-        vertices = np.stack([np.interp(place, arc, column) for column in points.T], axis=-1)
-        chord = np.linalg.norm(np.diff(vertices, axis=0), axis=-1)
-        reached = np.concatenate([[0.0], np.cumsum(chord)])
+        vertices = placed(place, arc, points)
+        reached = arc_lengths(vertices)
         place = np.interp(ends * reached[-1], reached, place)
+    chord = np.linalg.norm(np.diff(vertices, axis=0), axis=-1)
     tangents = np.diff(vertices, axis=0) / chord[:, None]
     frames = bishop_frames(tangents[None], across(tangents[:1]))
     rod = Configuration(vertices[:1].copy(), quaternion_from_matrix(frames), chord)
@@ -276,7 +279,7 @@ def overhand_knot(length: float, edges: int, *, radius: float, loop: float, fine
     turn = np.linspace(0.0, np.pi, SAMPLES)[1:-1]
     right = np.stack([half + loop * np.sin(turn), -offset - loop + loop * np.cos(turn), 0.0 * turn], axis=-1)
     knot = np.concatenate([braid, right, right[::-1] * [-1.0, 1.0, 1.0], other])
-    tail = 0.5 * (length - np.linalg.norm(np.diff(knot, axis=0), axis=-1).sum())
+    tail = 0.5 * (length - curve_length(knot))
     if not tail > 0:
         raise InputError("overhand_knot", "length", f"{length:g} mm", f"give more than {length - 2 * tail:.4g} mm")
     ends = np.array([[tail, 0.0, 0.0]])

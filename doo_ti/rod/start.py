@@ -77,7 +77,7 @@ def _check_reach(observations: Observations) -> None:
     """Raise InputError for marks too far apart (:data:`MOST_LENGTHS`) or too close together (:data:`LEAST_LENGTHS`), which are
     in another unit or of another rod, for marks so far from the origin that rounding hides them, and for edges far shorter than
     the others."""
-    edges, length = observations.rest_length, observations.rest_length.sum()
+    edges, length = observations.rest_length, observations.length
     if edges.min() < LEAST_EDGE * edges.mean():
         raise InputError(observations.source, "rest_length_mm", f"{edges.min():.4g} mm at edge {int(np.argmin(edges))}, and "
                          f"{edges.mean():.4g} mm on average", "leave one of its two marks out")
@@ -105,7 +105,7 @@ def reachable(observations: Observations, clamps: Clamps, whole_edges: bool = Tr
     """
     # A taut rod has no slack: rounding must not make it infeasible.
     clamps = clamps if whole_edges else _by_position(clamps)
-    return span_excess(clamps, observations.rest_length) <= 1e-9 * observations.rest_length.sum()
+    return span_excess(clamps, observations.rest_length) <= 1e-9 * observations.length
 
 
 def _by_position(clamps: Clamps) -> Clamps:
@@ -174,10 +174,8 @@ def turn_hypotheses(observations: Annotated[Observations, "D"], clamps: Annotate
         angle = _closing_angle(_bishop(observations, clamps), clamps)
         nearest = np.round((observations.total_twist - angle) / (2 * np.pi)).astype(np.int64)
         return np.arange(observations.count), np.where(both, nearest, turns)
-    copies = np.where(both, 3, 1)
-    index = np.repeat(np.arange(observations.count), copies)
-    rank = np.arange(len(index)) - np.repeat(np.cumsum(copies) - copies, copies)
-    return index, np.where(both[index], rank - 1, 0)
+    index, rank = np.nonzero(both[:, None] | [False, True, False])
+    return index, rank - 1
 
 
 def held_spins(observations: Observations, clamps: Clamps, spin: np.ndarray) -> Clamps:
@@ -240,7 +238,10 @@ def start_configuration(
             turns = np.zeros(observations.count)
             if observations.total_twist is not None:
                 turns = turn_hypotheses(observations, clamps)[1]
-        angle = _twist_angles(bishop, clamps, observations.rest_length, np.asarray(turns))
+        closing, both = _closing_angle(bishop, clamps), _holds_spin(clamps.start) & _holds_spin(clamps.end)
+        # Where the start rolls freely the whole rod turns to meet the end's frame, without twist.
+        offset, total = np.where(both, 0.0, closing), np.where(both, closing + 2 * np.pi * np.asarray(turns), 0.0)
+        angle = offset[:, None] + total[:, None] * twist_shares(observations.rest_length)
         quaternions = quaternion_product(quaternion_about(bishop[..., 0], angle), quaternion_from_matrix(bishop))
     return Configuration(_anchor(observations, clamps, quaternions), quaternions, observations.rest_length)
 
@@ -248,16 +249,15 @@ def start_configuration(
 def fill_missing(observations: Observations) -> np.ndarray:
     """(D, V, 3) vertices in mm, those without a valid mark on the line, by arc length, through the two nearest ones
     around them, or beyond the outermost two."""
-    valid, count = observations.valid, observations.vertices.shape[1]
+    valid = observations.valid
     if valid.all():
         return observations.vertices
-    position = np.concatenate([[0.0], np.cumsum(observations.rest_length)])
-    marks = np.arange(count)
+    place = observations.place
     ranks = np.argsort(~valid, axis=1, kind="stable")
     # The valid mark at or before each vertex, by its rank among the valid ones; the last of them has no next one.
     rank = np.clip(np.cumsum(valid, axis=1) - 1, 0, valid.sum(axis=1, keepdims=True) - 2)
     before, after = np.take_along_axis(ranks, rank, axis=1), np.take_along_axis(ranks, rank + 1, axis=1)
-    share = ((position[marks] - position[before]) / (position[after] - position[before]))[..., None]
+    share = ((place - place[before]) / (place[after] - place[before]))[..., None]
     low = np.take_along_axis(observations.vertices, before[..., None], axis=1)
     high = np.take_along_axis(observations.vertices, after[..., None], axis=1)
     return np.where(valid[..., None], observations.vertices, low + share * (high - low))
@@ -272,7 +272,7 @@ def on_equal_edges(observations: Observations, edges: int) -> Observations:
     from scipy.interpolate import CubicSpline
 
     require_whole("observations", "edges", edges, 2, MOST_EDGES)
-    place = np.concatenate([[0.0], np.cumsum(observations.rest_length)])
+    place = observations.place
     vertices = CubicSpline(place, fill_missing(observations), axis=1)(np.linspace(0.0, place[-1], edges + 1))
     frames = observations.frames
     start, end = (own if own is not None or frames is None else frames[:, edge] for own, edge in (
@@ -305,16 +305,6 @@ def _closing_angle(bishop: np.ndarray, clamps: Clamps) -> np.ndarray:
     """(D,) angle in (−π, π] from the last twist-free m1 to the last clamped m1; 0 where it rolls freely."""
     angle = angle_about(bishop[:, -1, :, 0], bishop[:, -1, :, 1], clamps.end_frame[..., 1])
     return np.where(_holds_spin(clamps.end), angle, 0.0)
-
-
-def _twist_angles(bishop: np.ndarray, clamps: Clamps, rest_length: np.ndarray, turns: np.ndarray) -> np.ndarray:
-    """(D, E) angles θ^j from the twist-free frames to the start's material frames (§III-C)."""
-    closing = _closing_angle(bishop, clamps)
-    both = _holds_spin(clamps.start) & _holds_spin(clamps.end)
-    # Where the start rolls freely the whole rod turns to meet the end's frame, without twist.
-    total = np.where(both, closing + 2 * np.pi * turns, 0.0)
-    offset = np.where(both, 0.0, closing)
-    return offset[:, None] + total[:, None] * twist_shares(rest_length)
 
 
 def twist_shares(rest_length: np.ndarray) -> np.ndarray:

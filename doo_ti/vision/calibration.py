@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from doo_ti.rod.frames import rotation_matrix
+from doo_ti.rod.frames import cross_matrix, rotation_matrix
 from doo_ti.system.errors import InputError
 from doo_ti.vision.cameras import FITTED, Camera, Rig
 from doo_ti.vision.triangulation import least_squares
@@ -326,8 +326,3 @@ def _inverse(normal: np.ndarray) -> np.ndarray:
     if not np.linalg.eigvalsh(scaled)[0] > SINGULAR:
         raise np.linalg.LinAlgError("the normal matrix is singular")
     return np.linalg.inv(scaled) * scale * scale[:, None]
-
-
-def cross_matrix(vector: np.ndarray) -> np.ndarray:
-    """(..., 3, 3) matrix of u → ``vector`` × u."""
-    return np.swapaxes(np.cross(vector[..., None, :], np.eye(3)), -1, -2)

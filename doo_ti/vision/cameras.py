@@ -176,36 +176,25 @@ class Camera:
     @typed
     def project(self, points: np.ndarray) -> np.ndarray:
         """(..., 2) px of (..., 3) points in the world, distorted as the lens does; NaN for points that are not in front."""
-        x, y, _ = self._normalised(points)
-        return np.stack(bent(self.lens, x, y), axis=-1)
+        seen = self._in_front(points)
+        return np.stack(bent(self.lens, seen[..., 0] / seen[..., 2], seen[..., 1] / seen[..., 2]), axis=-1)
 
     def project_with_jacobian(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """(..., 2) px as :meth:`project`, (..., 2, 3) px per mm that the points move along the **camera's** axes, and
         (..., 2, 9) px by the lens. By a move in the world the first derivative is times ``rotation``."""
-        x, y, near = self._normalised(points)
-        lens = self.lens
-        pixel = np.stack(bent(lens, x, y), axis=-1)
-        focal = lens[:2]
-        by_ray = focal[:, None] * np.stack(bent_slope(lens, x, y), axis=-1)[..., [[0, 1], [1, 2]]]
-        ray_by_point = np.zeros((*x.shape, 2, 3))
-        ray_by_point[..., 0, 0] = ray_by_point[..., 1, 1] = near
-        ray_by_point[..., 0, 2], ray_by_point[..., 1, 2] = -x * near, -y * near
-        by_lens, square = np.zeros((*x.shape, 2, FITTED)), x * x + y * y
-        below = 1 + square * (lens[9] + square * (lens[10] + square * lens[11]))
-        for axis, along in enumerate((x, y)):
-            by_lens[..., axis, axis] = (pixel[..., axis] - lens[2 + axis]) / focal[axis]
-            by_lens[..., axis, 2 + axis] = 1
-            for column, power in ((4, 1), (5, 2), (8, 3)):
-                by_lens[..., axis, column] = focal[axis] * along * square**power / below
-            by_lens[..., axis, 6 + axis] = focal[axis] * 2 * x * y
-            by_lens[..., axis, 7 - axis] = focal[axis] * (square + 2 * along * along)
-        return pixel, by_ray @ ray_by_point, by_lens
+        import cv2
 
-    def _normalised(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """X, Y and 1/depth of (..., 3) points in the world; NaN for those that are not in front."""
+        seen, none, shape = self._in_front(points), np.zeros(3), np.shape(points)[:-1]
+        pixel, slopes = np.zeros((0, 2)), np.zeros((0, 6 + FITTED))
+        if seen.size:  # slopes by a pose first, of which the last three are those by the points
+            pixel, slopes = cv2.projectPoints(seen.reshape(-1, 3), none, none, np.array(self.matrix), np.array(self.distortion))
+        by_point, by_lens = np.split(slopes.reshape(*shape, 2, slopes.shape[1])[..., 3 : 6 + FITTED], [3], axis=-1)
+        return pixel.reshape(*shape, 2), by_point, by_lens
+
+    def _in_front(self, points: np.ndarray) -> np.ndarray:
+        """(..., 3) points in the camera's axes; NaN for those that are not in front."""
         seen = np.asarray(points, dtype=np.float64) @ self.rotation.T + self.translation
-        depth = np.where(seen[..., 2] > 0, seen[..., 2], np.nan)
-        return seen[..., 0] / depth, seen[..., 1] / depth, 1 / depth
+        return np.where(seen[..., 2:] > 0, seen, np.nan)
 
     def depth(self, points: np.ndarray) -> np.ndarray:
         """(...) mm along the optical axis of (..., 3) points in the world."""

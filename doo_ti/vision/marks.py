@@ -189,16 +189,9 @@ def _ribbon_frames(observations: Observations, across: np.ndarray, marks: Marks)
         raise InputError(marks.source, "observation", f"{marks.names[none[0]]!r} shows the ribbon's width at no two neighbours",
                          "label more of its marks, or leave it out")
     director = director / np.where(measured, length, 1.0)[..., None]
-    nearest = _nearest(measured)
+    place = np.arange(measured.shape[1])  # the nearest edge that was measured: itself, if it was
+    nearest = np.where(measured[:, None], np.abs(place[:, None] - place), len(place)).argmin(axis=-1)
     source = np.take_along_axis(tangent, nearest[..., None], axis=1)
     carried = matrix_from_quaternion(smallest_rotation(source, tangent))
     director = np.einsum("deij,dej->dei", carried, np.take_along_axis(director, nearest[..., None], axis=1))
     return np.stack([tangent, director, np.cross(tangent, director)], axis=-1), ~measured
-
-
-def _nearest(there: np.ndarray) -> np.ndarray:
-    """(D, E) the nearest place in the same row that is ``there`` (D, E), itself if it is."""
-    place = np.arange(there.shape[1])
-    before = np.maximum.accumulate(np.where(there, place, -there.shape[1]), axis=1)
-    after = np.minimum.accumulate(np.where(there, place, 2 * there.shape[1])[:, ::-1], axis=1)[:, ::-1]
-    return np.where(place - before <= after - place, before, after)

@@ -108,9 +108,7 @@ def stereo_cameras(path: Path, content: dict, reading: RigReading) -> list[Camer
         lens = np.zeros(5) if lens is None else lens
         if not isinstance(lens, np.ndarray):
             raise InputError(path, f"D{number}", "no matrix", "give the coefficients of distortion")
-        turn = pose[0]
-        if turn.size == 3:
-            turn = rotation_matrix(turn.ravel())
+        turn = rotation_matrix(pose[0].ravel()) if pose[0].size == 3 else pose[0]
         if reading.lens == "fisheye" or content.get("distortion_model") == "equidistant":
             lens = rational_of_fisheye(path, f"D{number}", matrix, lens, width, height)
         cameras.append(Camera(f"cam{len(cameras)}", width, height, matrix, lens.ravel(), turn, pose[1].ravel(), str(path)))
@@ -226,23 +224,19 @@ def _camera(path: Path, entries, index: int, reading: RigReading) -> Camera:
     if not isinstance(entries, dict):
         raise InputError(path, f"cameras[{index}]", "is no map", "give name, width, height, K, dist, R, t")
     name = entries.get("name") if isinstance(entries.get("name"), str) else f"cam{index}"
-    size = {}
     for key in ("width", "height"):
-        size[key] = entries.get(key)
-        if type(size[key]) is not int:
+        if type(entries.get(key)) is not int:
             raise InputError(path, f"cameras.{name}.{key}", "missing or no whole number", "give the images' size in pixels")
-    values = {}
-    for field, key in KEYS.items():
-        found = entries.get(key)
-        if not isinstance(found, np.ndarray):
+    for key in KEYS.values():
+        if not isinstance(entries.get(key), np.ndarray):
             raise InputError(path, f"cameras.{name}.{key}", "missing or no matrix",
                              "give K (3, 3), dist (1, 5), R (3, 3), t (3, 1)")
-        values[field] = found
+    values = {"width": entries["width"], "height": entries["height"], **{field: entries[key] for field, key in KEYS.items()}}
     if reading.lens == "fisheye":
-        plain = Camera(name=name, **size, **{**values, "distortion": np.zeros(5)}, source=str(path))
+        plain = Camera(name=name, **{**values, "distortion": np.zeros(5)}, source=str(path))
         values["distortion"] = rational_of_fisheye(path, f"cameras.{name}.dist", plain.matrix, values["distortion"],
                                                    plain.width, plain.height)
-    return Camera(name=name, **size, **values, source=str(path), turned=entries.get("orientation") == "apply")
+    return Camera(name=name, **values, source=str(path), turned=entries.get("orientation") == "apply")
 
 
 # --- fisheye lenses ------------------------------------------------------------------------------------------------------

@@ -8,10 +8,10 @@ from scipy.spatial.transform import Rotation
 
 from doo_ti import Clamp, Newton, Plane, Surroundings, Theta
 from doo_ti.refinement.fit import Fit
-from doo_ti.refinement.held_rod import POSE
-from doo_ti.refinement.mesh import Lengths, covariance, knots_of, values_at
+from doo_ti.refinement.held_rod import POSE, TURNS
+from doo_ti.refinement.mesh import Field, Lengths, knots_of, values_at
 from doo_ti.refinement.refine import mesh_correction, relaxed_on
-from doo_ti.refinement.unknowns import TURNS, Unknowns
+from doo_ti.refinement.unknowns import Unknowns
 from doo_ti.rod.frames import right_jacobian, rotation_matrix
 from tests.refinement.rods_between_clips import TRUTH, held, model, suture
 
@@ -31,7 +31,7 @@ def test_edges_share_what_lies_between_the_clips(kinds, count):
         step = 1e-6 * np.eye(2)[end]
         above, below = (rod.mesh(Lengths(clip + sign * step, spacing)) for sign in (1, -1))
         assert mesh.edge_slope[end] == pytest.approx((above.edge - below.edge) / 2e-6, abs=1e-8)
-        np.testing.assert_allclose(mesh.joint_slope[:, end], (above.joints - below.joints) / 2e-6, atol=1e-7)
+        np.testing.assert_allclose(mesh.slope(mesh.joints)[:, end], (above.joints - below.joints) / 2e-6, atol=1e-7)
 
 
 def test_marks_are_interpolated_to_the_third_order():
@@ -58,8 +58,9 @@ def test_the_field_is_linear_between_knots_and_its_covariance_slopes_as_it_says(
     above, below = (values_at(place + step, knots)[0] @ values for step in (1e-7, -1e-7))
     smooth = np.abs(place[:, None] - knots).min(axis=1) > 1e-5
     np.testing.assert_allclose((slopes @ values)[smooth], ((above - below) / 2e-7)[smooth], atol=1e-6)
-    matrix, slope = covariance(knots, 2e-3, 12.0)
-    wider, narrower = (covariance(knots, 2e-3, 12.0 * np.exp(step))[0] for step in (1e-5, -1e-5))
+    field = Field("curvature", "range", knots, 2, 1.0)
+    matrix, slope = field.covariance({"curvature": 2e-3, "range": 12.0})
+    wider, narrower = (field.covariance({"curvature": 2e-3, "range": 12.0 * np.exp(step)})[0] for step in (1e-5, -1e-5))
     np.testing.assert_allclose(slope, (wider - narrower) / 2e-5, atol=1e-12)
     assert np.linalg.eigvalsh(matrix).min() > 0 and matrix[0, 0] == pytest.approx(4e-6, rel=1e-5)
     assert len(knots_of(np.full(200, 1.0))) == 16 and len(knots_of(np.full(12, 3.0))) == 11
@@ -72,7 +73,7 @@ def test_the_corrected_mesh_is_close_to_a_very_fine_one():
     values = unknowns.begun(TRUTH, np.array([2.25, 2.25]))
     values = replace(values, curvature=1e-3 * np.ones_like(values.curvature))
     rod, solver, none, lengths = unknowns.rod, Newton(), np.zeros((seen.count, POSE)), unknowns.lengths(values)
-    coarse = rod.relaxed(unknowns.material(values), lengths, none, solver, TRUTH.up)
+    coarse = rod.relaxed(unknowns.material(values), lengths, none, TRUTH.up, solver)
     finest = replace(unknowns, rod=replace(rod, edges=640))
     off = rod.marks(coarse, lengths) - finest.rod.marks(relaxed_on(finest, values, coarse, rod, solver), lengths)
     before, after = (np.abs(one).max() for one in (off, off + mesh_correction(unknowns, values, coarse, solver)))
@@ -108,7 +109,7 @@ def test_residuals_follow_the_unknowns(rng, theta, parameters, kinds, fields):
     rod, higher = held(seen, 34, kinds), fields.pop("table", None)
     if higher is not None:
         clips = Lengths(np.array([2.1, 3.4]), seen.rest_length)
-        hanging = rod.relaxed(theta.material, clips, np.zeros((3, POSE)), SHARP, theta.up).configuration.vertices
+        hanging = rod.relaxed(theta.material, clips, np.zeros((3, POSE)), theta.up, SHARP).configuration.vertices
         point = (hanging[..., 2].min(axis=1) + higher)[:, None] * (0, 0, 1)
         rod = replace(rod, surroundings=Surroundings([Plane(point, (0, 0, 1))], 0.5))
     comparison, scales = model(rod, parameters, **fields)
@@ -121,7 +122,7 @@ def test_residuals_follow_the_unknowns(rng, theta, parameters, kinds, fields):
     values = replace(values, spacing=0.01 * rng.normal(size=seen.edges))
     fit = Fit(comparison, values, SHARP)
     pose, lengths = unknowns.pose(values), unknowns.lengths(values)
-    state = fit.at(values, scales, rod.relaxed(unknowns.material(values), lengths, pose, SHARP, theta.up))
+    state = fit.at(values, scales, rod.relaxed(unknowns.material(values), lengths, pose, theta.up, SHARP))
     assert (state.solution.converged & state.solution.stable).all()
     linear, used = comparison.linear(state.solution, values, np.ones(3, dtype=bool))
     assert used.all()

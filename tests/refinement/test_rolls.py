@@ -84,7 +84,8 @@ def test_the_gradient_by_sizes_counts_each_row_with_its_share(of_all_rolls):
 
 def test_of_several_rows_the_most_probable_is_shown(of_all_rolls):
     fit, fitted = of_all_rolls
-    (one, found), rod = most_probable(fit, fitted), fit.unknowns.rod
+    found, rod = most_probable(fitted), fit.unknowns.rod
+    one = found.fit
     best = rod.by_observation(fitted.evidence.share).argmax(axis=1)
     assert one.unknowns.rod.observations.count == len(best) and one.unknowns.rod.copies == 1
     np.testing.assert_allclose(one.unknowns.rod.rolled, NODES[best])

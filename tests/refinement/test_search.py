@@ -34,8 +34,8 @@ def test_a_converged_fit_is_at_rest_in_every_observation():
     seen, options = bare(suture()), RefinementOptions(curvature="field")
     for found in optima(seen, observation_clamps(seen), (TRUTH,), options):
         one = finished(found, options)
-        assert found.fitted.converged and one.fitted.converged
-        assert one.fit.run(one.fitted.state, 12).posterior.value == pytest.approx(one.fitted.posterior.value, abs=0.5)
+        assert found.converged and one.converged
+        assert one.fit.run(one.state, 12).posterior.value == pytest.approx(one.posterior.value, abs=0.5)
 
 
 @pytest.mark.thorough
@@ -46,7 +46,7 @@ def test_turns_that_were_measured_are_returned_to():
     measured = _twist(begun)
     wrong = fit.merged(begun, fit.from_marks(values, scales, turn=1), np.arange(seen.count) == 4)
     assert abs(_twist(wrong)[4] - measured[4]) > 3
-    np.testing.assert_allclose(_twist(turns_chosen_again(fit, fit.run(wrong, 3), 5)[0].state), measured, atol=0.5)
+    np.testing.assert_allclose(_twist(turns_chosen_again(fit.run(wrong, 3), 5)[0].state), measured, atol=0.5)
 
 
 @pytest.mark.thorough
