@@ -53,10 +53,13 @@ def test_the_bend_stiffness_that_made_the_motion_is_identified(theta):
 
 @pytest.mark.thorough
 def test_a_fit_far_off_is_doubted(recording, capsys, monkeypatch):
-    for most in (identify.FAR_OFF, 1e-5):
-        monkeypatch.setattr(identify, "FAR_OFF", most)
+    for least in (None, -1.0):
+        if least:
+            for name in ("FAR_OFF", "RATE_OFF", "RATE_GAIN"):
+                monkeypatch.setattr(identify, name, least)
         err = ended(capsys, f"identify {recording}/recorded.npz {FIT} --out theta.json")[1]
-        assert ("of its length off; check the rate" in err) is (most == 1e-5)
+        for words in ("of its length off; check the rate", "frames a second than at the 50 stated"):
+            assert (words in err) is bool(least)
 
 
 @pytest.mark.thorough

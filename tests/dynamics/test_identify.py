@@ -43,7 +43,10 @@ def test_theta_is_found_from_recordings_without_noise(rng, free_end):
     assert not free_end or _better_reversed(turned, OPTIONS, TRUE.up) and not _better_reversed(motion, OPTIONS, TRUE.up)
     bend = found.parameters()[0]
     assert not found.failed.any() and found.error.mean() < 0.3 and bend["low"] <= TRUE.bend <= bend["high"]
-    assert abs(bend["value"] / TRUE.bend - 1) < (0.01 if free_end else 0.03)
+    assert abs(bend["value"] / TRUE.bend - 1) < (0.01 if free_end else 0.03) and found.rate_gain < 0.1
+    if free_end:
+        fast = identify(replace(motion, rate=1.06 * RATE), GUESS, OPTIONS)
+        assert fast.rate == pytest.approx(RATE, rel=0.02) and fast.rate_gain > 0.5
 
 
 LENGTH, EDGES = TRUE.rest_length.sum(), 12

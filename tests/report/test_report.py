@@ -4,23 +4,12 @@ import io
 
 import numpy as np
 import pytest
-from PIL import Image
 
 from doo_ti import Observations, Observed, Plane, Surroundings
-from doo_ti.report import motions
-from doo_ti.report.canvas import (
-    direction,
-    distance_colors,
-    fit_titles,
-    grid_view,
-    landscape_colors,
-    new_figure,
-    pixels,
-    quantity,
-)
+from doo_ti.report import canvas, motions
 from doo_ti.report.contact import Touched
 from doo_ti.report.figures import angle_curves_picture
-from doo_ti.report.landscapes import LandscapePanel, draw_landscape, landscape_picture, landscapes_picture
+from doo_ti.report.landscapes import LandscapePanel, draw_landscape, landscapes_picture
 from doo_ti.report.motions import MovingRods, _view, motions_picture, save_rollout
 from doo_ti.report.plane import LandscapePlane, cell_edges, valley_cells
 from tests.record import runs
@@ -31,7 +20,7 @@ GREY = (154, 154, 154)
 @pytest.mark.parametrize("vector, text", [((1, 0, 0), "x"), ((0, -1, 0), "−y"), ((0.94, 0.34, 0), "0.94 x + 0.34 y"),
                                           ((-0.6, 0, 0.8), "−0.6 x + 0.8 z"), ((0.8, -0.6, 0.001), "0.8 x − 0.6 y")])
 def test_directions_as_text(vector, text):
-    assert direction(np.array(vector, dtype=float)) == text
+    assert canvas.direction(np.array(vector, dtype=float)) == text
 
 
 def run() -> tuple[list, np.ndarray]:
@@ -39,24 +28,13 @@ def run() -> tuple[list, np.ndarray]:
     return grid.picture_axes, runs.landscape().reshape(grid.shape)
 
 
-@pytest.mark.thorough
-def test_picture_and_image_are_one_drawing(tmp_path):
-    landscape_picture(tmp_path / "landscape.png", runs.plane(), title="made up")
-    buffer = io.BytesIO()
-    landscape_picture(buffer, runs.plane(), title="made up")
-    image = pixels(draw_landscape(runs.plane(), "made up"))
-    assert image.shape == (1200, 1600, 3) and image.dtype == np.uint8
-    for source in (tmp_path / "landscape.png", buffer):
-        np.testing.assert_array_equal(np.asarray(Image.open(source).convert("RGB")), image)
-
-
 def test_titles_fit_into_the_picture():
-    figure = new_figure((4.0, 3.0))
+    figure = canvas.new_figure((4.0, 3.0))
     left, right = figure.subplots(1, 2)
     figure.suptitle("a long title of a picture " * 4, fontsize=12)
     left.set_title("on the left " * 5, loc="left", fontsize=9)
     right.set_title("short", fontsize=9)
-    fit_titles(figure)
+    canvas.fit_titles(figure)
     for title in (figure.texts[0], left._left_title, right.title):
         box = title.get_window_extent()
         assert box.x0 >= -1 and box.x1 <= figure.bbox.width + 1, title.get_text()[:9]
@@ -79,7 +57,7 @@ def test_cells_not_evaluated_are_grey_and_unfinished_ones_hatched():
     axes, values = run()
 
     def image(values, unfinished=None):
-        return pixels(draw_landscape(LandscapePlane.of(axes, values, (2, 1, 0), unfinished), "made up"))
+        return canvas.pixels(draw_landscape(LandscapePlane.of(axes, values, (2, 1, 0), unfinished), "made up"))
 
     def grey(image):
         return (image == GREY).all(axis=-1).sum()
@@ -152,17 +130,17 @@ def test_surface_leaves_out_what_was_not_evaluated():
 
 def test_colors_are_the_picture_s_and_never_a_colour_for_nan():
     distance = np.array([0.4, 1.0, np.nan, 9.0])
-    for colors in (landscape_colors(distance, distance), distance_colors(distance)):
+    for colors in (canvas.landscape_colors(distance, distance), canvas.distance_colors(distance)):
         assert colors.shape == (4, 3) and colors.dtype == np.uint8 and tuple(colors[2]) == GREY
         assert len({tuple(color) for color in colors}) == 4
-    assert distance_colors(np.full(3, np.nan)).tolist() == [list(GREY)] * 3
+    assert canvas.distance_colors(np.full(3, np.nan)).tolist() == [list(GREY)] * 3
 
 
 @pytest.mark.parametrize(("value", "text"), [
     (0, "0"), (0.7471, "0.747"), (14.07, "14.1"), (9999.9, "10⁴"), (123456, "1.23×10⁵"), (1e6, "10⁶"),
     (3.2e-5, "3.2×10⁻⁵"), (np.nan, "nan")])
 def test_quantities_are_written_for_people(value, text):
-    assert quantity(value) == text and quantity(value, "mm") == f"{text} mm"
+    assert canvas.quantity(value) == text and canvas.quantity(value, "mm") == f"{text} mm"
 
 
 def test_stiffness_stands_above_where_the_weight_is_known():
@@ -190,7 +168,7 @@ def boxes(vertices, sheet) -> tuple[np.ndarray, np.ndarray]:
 def test_no_observation_overlaps_another(labels, rng):
     vertices = runs.observations(rng)
     vertices[3, 4], vertices[2, 0] = np.nan, np.nan
-    sheet = grid_view(Observed(vertices, labels))
+    sheet = canvas.grid_view(Observed(vertices, labels))
     low, high = boxes(vertices, sheet)
     apart = ((low[:, None] > high[None]) | (low[None] > high[:, None]))[..., [0, 2]].any(axis=-1)
     assert (apart | np.eye(len(vertices), dtype=bool)).all() and (sheet.offset[0] == 0).all()
@@ -208,7 +186,7 @@ def test_observations_are_called_what_their_file_calls_them(rng):
 
 def test_labels_make_columns_and_rows(rng):
     vertices = runs.observations(rng)
-    sheet = grid_view(Observed(vertices, LABELS))
+    sheet = canvas.grid_view(Observed(vertices, LABELS))
     low, high = boxes(vertices, sheet)
     middle, floor = (0.5 * (low + high)[:, 0]).reshape(3, 2), low[:, 2].reshape(3, 2)
     np.testing.assert_allclose(middle[:, 0], middle[:, 1], atol=1e-9)
@@ -221,7 +199,7 @@ def test_labels_make_columns_and_rows(rng):
 
 @pytest.mark.parametrize("up", [(0, 0, 1), (0, -2, 0), (1, 1, 1)])
 def test_plane_is_upright_along_the_rods(up, rng):
-    right, depth, above = grid_view(Observed(runs.observations(rng), {}, up)).basis
+    right, depth, above = canvas.grid_view(Observed(runs.observations(rng), {}, up)).basis
     np.testing.assert_allclose(above, np.array(up) / np.linalg.norm(up), atol=1e-12)
     basis = np.stack([right, depth, above])
     np.testing.assert_allclose(basis @ basis.T, np.eye(3), atol=1e-9)

@@ -43,8 +43,9 @@ def test_a_camera_that_is_late_is_found(late):
         assert one.off[1] < 0.6 < 1 < one.off[0]
 
 
-def test_a_frame_in_which_a_camera_sees_nothing_is_left_out():
-    assert [one.frames for one in frames_apart(filmed(1.0, 0.3, small_rig(), hidden=7))] == [1.0]
+def test_a_frame_without_thread_is_left_out_and_a_few_tell_nothing():
+    film = filmed(1.0, 0.3, small_rig(), hidden=7)
+    assert [one.frames for one in frames_apart(film)] == [1.0] and not frames_apart(film[:11])
 
 
 @pytest.mark.parametrize("swing", [0.0, 0.02, 0.3])
@@ -58,7 +59,3 @@ def test_the_warning_names_cameras_rows_and_the_remedy(capsys):
     _warn_of_instants(frames, filmed(-1.0, 0.3, rig))
     assert "film.csv: images of cam1 fit those of cam0 better 1 row earlier" in (said := capsys.readouterr().err)
     assert "give images of the same instant" in said
-
-
-def test_a_few_frames_tell_nothing():
-    assert not frames_apart(filmed(1.0, 0.3, three_cameras())[:11])
