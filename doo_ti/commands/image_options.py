@@ -25,6 +25,7 @@ from doo_ti.vision.images import ImageSets, load_sets, orientation_tags
 from doo_ti.vision.rig_files import load_rig
 
 MOST_HYPOTHESES = 100_000
+FITTING_PX = 0.5  # of a rod that is so near to the line in every camera the rig is right
 MOST_ORDERED = 4  # cameras, of which all orders are tried
 AHEAD = 16  # lines of images in which threads are detected while one is used
 RECORDED = 3  # sets in a recording
@@ -167,16 +168,18 @@ def warn_of_length(options: Namespace, length: float) -> None:
     doubts.say(options.rig, doubts.unit_doubt(length, "rig", "--rig-unit", "--rig-unit and --rig-poses"))
 
 
-def warn_of_rig(options: Namespace, sets, length: float, verdicts: np.ndarray, detected: Sequence[list]) -> None:
-    """Print a warning where found rods of ``length`` mm are in another unit, and, where no rod is clear, if the lines
-    ``detected`` in the first clicked set fit together much better with the rig's file read otherwise, by options that were not
-    given, or as images of the cameras in another order."""
+def warn_of_rig(options: Namespace, sets, length: float, verdicts: np.ndarray, camera_error: np.ndarray,
+                detected: Sequence[list]) -> None:
+    """Print a warning where found rods of ``length`` mm are in another unit, and, where none is clear nor near to the line in
+    every camera, by its ``camera_error`` (A, C) px, if the lines ``detected`` in the first clicked set fit together much better
+    with the rig's file read otherwise, by options that were not given, or as images of the cameras in another order."""
     from doo_ti.perception.perceive import PerceptionVerdict
     from doo_ti.perception.seeds import fit_better
 
     if likely_unit(length) or (verdicts != PerceptionVerdict.NOT_FOUND).any():  # of what is not found a unit explains some
         warn_of_length(options, length)
-    if sets.clicks is None or (verdicts == PerceptionVerdict.CLEAR).any():
+    fitting = (verdicts == PerceptionVerdict.CLEAR) | (camera_error <= FITTING_PX).all(axis=1)
+    if sets.clicks is None or fitting.any():
         return
     others = {f"with {option}": other for other, _, option in sets.rig.read_otherwise() if other.reading.unit is None}
     orders = permutations(range(len(sets.rig.cameras))) if len(sets.rig.cameras) <= MOST_ORDERED else ()

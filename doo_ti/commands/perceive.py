@@ -76,7 +76,7 @@ def run(options: Namespace) -> int:
         found = _perceived(begun, search, detected, seed_sigma, growth, bar)
         found = replace(found, length_range=np.broadcast_to(length_range, found.length_range.shape))
     doubts.warn_of_axes(options, task.sets.rig)
-    image_options.warn_of_rig(options, begun.sets, begun.rest_length.sum(), found.verdict, detected)
+    image_options.warn_of_rig(options, begun.sets, begun.rest_length.sum(), found.verdict, found.camera_error, detected)
     task, every = replace(task, rest_length=begun.rest_length), found.among(rows, task.sets.count)
     results.save_arrays(out, _arrays(task, every))
     written = [out, *_shown(options, begun, None if truth is None else truth[rows], detected, found, growth, out)]

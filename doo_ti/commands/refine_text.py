@@ -217,7 +217,7 @@ def _rods_lines(summary: dict) -> list[str]:
     misfits = results.listed(summary["misfits"], LISTED)
     return _rows(
         ("left out", results.status_text(summary["left_out"])),
-        ("misfits", misfits and f"observations far from every equilibrium that was tried: {misfits}"),
+        ("misfits", misfits and f"observation {misfits}: far from every equilibrium that was tried"),
         *(("mislabelled", f"observation {one['observation']}: {one['why']}") for one in summary["mislabelled"]),
         *(("sensitive", f"without observation {one['observation']} {one['parameter']} would be {one['factor']:.3g} times as "
                         "large: more than two standard errors away") for one in summary["sensitive"][:LISTED]))

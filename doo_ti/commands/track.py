@@ -150,7 +150,8 @@ def _tracked(options: Namespace, task: SeenRods, motions: list | None) -> tuple[
                              float(np.hypot(start.sigma, _off_thread(frames.rig, detected, start.point))))
                 frame = tracker.see(detected, start.point, start.direction, far, sigma[-1])
                 if row == 0 and frame.verdict == PerceptionVerdict.NOT_FOUND:
-                    image_options.warn_of_rig(options, frames, rest_length.sum(), np.array([frame.verdict]), [detected])
+                    image_options.warn_of_rig(options, frames, rest_length.sum(), np.array([frame.verdict]),
+                                              frame.camera_error[None], [detected])
                 known = start.point if frame.verdict <= PerceptionVerdict.LIKELY else known
                 found.append(frame)
                 starts.append(start)

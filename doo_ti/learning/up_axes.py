@@ -61,7 +61,7 @@ class OtherUp:
         also = f" ({', '.join(self.also)} fits far better, too)" if self.also else ""
         return (f"with {_name(self.up)} upwards the rods fit far better: marks are off by {self.misfit_mm:.3g} mm, and by "
                 f"{self.given_misfit_mm:.3g} mm with the direction given ({self.without_gravity_mm:.3g} mm without "
-                f"gravity){also}; if they were recorded so, give {self.option}")
+                f"gravity){also}; if they were recorded so, give {self.option}; if they lay on something, --obstacles")
 
 
 def other_up(observations: Observations, clamps: Clamps, up: ArrayLike | None = None,

@@ -46,6 +46,7 @@ ERRORS = 2.0  # standard errors by which a parameter moves without an observatio
 MOST_MISFITS = 8  # misfits that are tried, the first of them
 POSED_ORDERS = 12
 """Orders of each misfit with all its marks that are posed, and as many without one: those nearest to their marks before."""
+NO_FARTHER = 1.02  # times as far from their neighbours over the spacing may marks be in another order: noise does as much
 FEWEST = 5  # marks, without one of which a rod may be tried
 
 
@@ -316,6 +317,6 @@ def _orders(seen: Observations, row: int, reverse: bool) -> tuple[list[tuple[int
             vertices[number] = vertices[number, ::-1]
     apart, now = (np.nan_to_num(np.linalg.norm(np.diff(marks, axis=1), axis=-1) / seen.rest_length).max(axis=1)
                   for marks in (vertices, seen.vertices[row : row + 1]))
-    near = np.flatnonzero(apart <= now)
+    near = np.flatnonzero(apart <= NO_FARTHER * now)
     changed, vertices = seen.take(np.full(len(near), row)), vertices[near]
     return [orders[order] for order in near], replace(changed, vertices=vertices, valid=np.isfinite(vertices).all(axis=-1))

@@ -134,7 +134,7 @@ def _asked(grid: Grid, parameters: tuple[str, ...]) -> tuple[int, ...]:
     logs = np.log(values[:, list(asked)])
     if np.linalg.matrix_rank(logs - logs.mean(axis=0), tol=1e-9) < len(asked):
         raise InputError(grid.source, "twist", "proportional to bend, so that observations cannot separate them",
-                         "give `twist` a number, or `twist_ratio` a range")
+                         "give `twist` or `GJ` a number, or `twist_ratio` a range")
     return asked
 
 
