@@ -44,7 +44,7 @@ def summary_of(observations: Observations, surroundings: Surroundings, found, he
         "theta": _theta(found.theta), "parameters": [asdict(parameter) for parameter in estimate.parameters],
         "unknowns": names, "covariance": estimate.covariance, "correlation": estimate.correlation,
         "degrees_of_freedom": estimate.degrees, "not_determined": estimate.left_open,
-        "stiffness": _stiffness(estimate, density, loaded),
+        "stiffness": _stiffness(estimate, density, loaded), "loaded": loaded,
         "linear_density_g_per_m": densities,
         "rest_curvature_per_mm": {"spread": scales["curvature"], "range_mm": scales["range"],
                                   "root_mean_square": 0.0 if rest is None else float(np.sqrt((np.asarray(rest) ** 2).mean()))},
@@ -131,6 +131,7 @@ def summary_lines(summary: dict) -> list[str]:
     unround = next((one["option"] for one in summary["advice"] if one["meaning"] == UNROUND and one["gain"] > DECISIVE), None)
     interval = partial(interval_text, summary["converged"])
     elsewhere = "at more cells (--starts N)" if summary["of_run"] else "at the run of a sweep (doo-ti sweep first)"
+    elsewhere = "from other values (sweeps know no --mass)" if summary["loaded"] else elsewhere
     return [
         f"{in_line(summary['material'])}: {summary['rods_used']} of {summary['observations']} observations, "
         f"{summary['iterations']} steps{'' if summary['converged'] else ', NOT converged: stopped'}", *_rows(

@@ -64,7 +64,7 @@ def summary(rivals, difference, curvature, unknowns=("bend", "twist")) -> dict:
             "parameters": [{"name": "clip_start", "value": -1.0, "low": -2.0, "high": 4.0, "unit": "mm"}],
             "rest_curvature_per_mm": {"root_mean_square": curvature, "range_mm": 30.0}, "linear_density_g_per_m": None,
             "stiffness_along": {"factor": [1.0, 1.0], "root_mean_square": 0.0},
-            "clamp_errors": {"turn_deg": (0, 0), "turn_scatter_deg": 0}, "swivels": False, "obstacles": None,
+            "clamp_errors": {"turn_deg": (0, 0), "turn_scatter_deg": 0}, "swivels": False, "obstacles": None, "loaded": False,
             "mean_distance_mm": 0.1, "sigma_mm": 0.1, "sigma_stated": False, "reaches_noise": True, "advice": [],
             "other_up": None, "turns_open": False, "left_out": {}, "misfits": [], "mislabelled": [], "sensitive": [],
             "models": [{"model": "straight", "difference": difference, "error": 0.56}], "held_out": None}
@@ -77,6 +77,8 @@ def test_what_is_printed_agrees_with_itself():
     assert "with bend 2e+07 mm³" in text and "predicts as well" in text and "--parameters bend,twist" in text
     text = "\n".join(summary_lines(summary([], -2.28, 4.6e-11)))
     assert "e-11" not in text and "straight" in text and "predicts" not in text
+    text = "\n".join(summary_lines(summary([], -2.28, 0.0) | {"converged": False, "loaded": True}))
+    assert "sweeps know no --mass" in text and "doo-ti sweep" not in text
     for high, said in ((2e7, False), (None, True)):
         bend = {"name": "bend", "value": 1e7, "low": 1e6, "high": high, "unit": "mm³"}
         assert ("check --up" in "\n".join(summary_lines(summary([], -2.28, 0.0) | {"parameters": [bend]}))) is said
