@@ -25,7 +25,7 @@ from doo_ti.vision.images import ImageSets, load_sets, orientation_tags
 from doo_ti.vision.rig_files import load_rig
 
 MOST_HYPOTHESES = 100_000
-FITTING_PX = 0.5  # of a rod that is so near to the line in every camera the rig is right
+FITTING_PX = 0.5  # the rig is taken to be right where a rod is this near to the line in every camera
 MOST_ORDERED = 4  # cameras, of which all orders are tried
 AHEAD = 16  # lines of images in which threads are detected while one is used
 RECORDED = 3  # sets in a recording

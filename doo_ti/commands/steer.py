@@ -85,8 +85,8 @@ def run_steer(options: Namespace) -> int:
              f"marks, the rod ends about {path.clamp_error:.2g} mm elsewhere; give START and TARGET more vertices then")
     touches, gap = path.smallest_gap == 0, path.smallest_gap
     if not touches and gap < path.mesh_error + path.clamp_error:
-        warn(f"{in_line(options.obstacles)}: the rod passes {gap:.2g} mm beside them, which is less than the mesh error and "
-             "what clamps change; give a larger --radius to keep it farther away")
+        warn(f"{in_line(options.obstacles)}: the rod passes {gap:.2g} mm beside them, but mesh and clamps may put it "
+             f"{path.mesh_error + path.clamp_error:.2g} mm elsewhere; plan with a larger --radius")
     summary = {"reached": path.reached, "distance_mm": path.distance, "mesh_error_mm": path.mesh_error,
                "clamp_error_mm": path.clamp_error, "smallest_gap_mm": gap if rod.surroundings else None,
                "smallest_radius_mm": path.smallest_radius, "moments": path.moments, "seconds": path.time[-1], "out": str(out)}

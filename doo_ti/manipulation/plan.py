@@ -244,7 +244,7 @@ class _Planner:
         return states
 
     def _samples(self) -> Configuration:
-        """Random rods at rest that touch nothing: ways may touch where their ends do."""
+        """Random rods at rest that touch nothing, as a way may touch obstacles where one of its ends does."""
         rest_length, anchor = self._start.rods.rest_length, self._space.anchor
         shapes = Shapes.at_random(SAMPLES, self._low, self._high, rest_length, anchor, self._random)
         if not (self._space.moves[:6].any() and self._space.moves[6:].any()):  # a gripper that does not move holds the anchor

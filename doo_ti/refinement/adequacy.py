@@ -46,7 +46,7 @@ ERRORS = 2.0  # standard errors by which a parameter moves without an observatio
 MOST_MISFITS = 8  # misfits that are tried, the first of them
 POSED_ORDERS = 12
 """Orders of each misfit with all its marks that are posed, and as many without one: those nearest to their marks before."""
-NO_FARTHER = 1.02  # times as far from their neighbours over the spacing may marks be in another order: noise does as much
+NO_FARTHER = 1.02  # marks in another order may be farther apart than in the given one by this factor, which noise explains
 FEWEST = 5  # marks, without one of which a rod may be tried
 
 
