@@ -160,9 +160,7 @@ class ClampPath:
                              "give moments in between" + ", or end_rotation_deg" * (name == "end_frame"))
 
     def _check_rotation(self) -> None:
-        before, after = self.end_frame[:-1], self.end_frame[1:]
-        carried = rotations.matrix_from_quaternion(rotations.smallest_rotation(before[..., 0], after[..., 0])) @ before
-        turned = rotations.angle_about(after[..., 0], carried[..., 1], after[..., 1])
+        turned = rotations.turn_about_tangent(self.end_frame[:-1], self.end_frame[1:])
         given = np.diff(self.end_rotation, axis=0)
         apart = np.abs(np.angle(np.exp(1j * (given - turned))))
         if (apart > CONTRADICTION).any():

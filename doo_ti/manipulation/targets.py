@@ -26,15 +26,14 @@ from doo_ti.manipulation.model import (
 from doo_ti.relaxation.sensitivity import GRIPPERS, sensitivity
 from doo_ti.rod.frames import (
     bishop_frames,
-    matrix_from_quaternion,
     quaternion_about,
     quaternion_from_matrix,
     quaternion_of_turn,
     quaternion_product,
     rotation_matrix,
-    smallest_rotation,
     tangent_from_quaternion,
     total_twist,
+    transported,
 )
 from doo_ti.rod.material import Material, Rows, doubt_marks
 from doo_ti.rod.types import Clamp, Clamps, Configuration, Solution, finite_rods, put_rods
@@ -303,7 +302,7 @@ def _guesses(rods: Configuration, clamps: Clamps, model: Model, targets: Targets
     shapes = replace(model, surroundings=Surroundings()).drawn(rods, loose, targets.places, targets.shares > 0)
     first, tangents = clamps.start_frame, tangent_from_quaternion(shapes.quaternions)
     if starts:
-        first = matrix_from_quaternion(smallest_rotation(first[..., 0], tangents[:, 0])) @ first
+        first = transported(first, tangents[:, 0])
     frames = quaternion_from_matrix(bishop_frames(tangents, first[..., 1]))
     place, twist = np.linspace(0.0, 1.0, rods.edges), total_twist(rods.quaternions)
     own = np.broadcast_to([1.0, 0.0, 0.0], (rods.count, rods.edges, 3))

@@ -124,9 +124,7 @@ def rotation_about_rod(motion: Motion) -> np.ndarray:
     """(N,) rad by which a motion turns the far frame about its tangent, beyond the parallel transport of the frame; whole turns
     are those of the motion's own rotation vector and roll."""
     before, after = motion.clamps.end_frame, motion.at(1.0).end_frame
-    carried = frames.matrix_from_quaternion(frames.smallest_rotation(before[..., 0], after[..., 0]))
-    m1 = np.einsum("nij,nj->ni", carried, before[..., 1])
-    angle = frames.angle_about(after[..., 0], m1, after[..., 1])
+    angle = frames.turn_about_tangent(before, after)
     spin = 0.0 if motion.end_spin is None else motion.end_spin
     along = 0.0 if motion.end_turn is None else np.sum(motion.end_turn * before[..., 0], axis=-1)
     held = np.broadcast_to(np.asarray(motion.clamps.end) == Clamp.FRAME, len(angle))

@@ -17,7 +17,7 @@ from doo_ti.io.arrays import frame_columns, read_arrays
 from doo_ti.relaxation.contact_table import require_clear
 from doo_ti.relaxation.newton import Newton
 from doo_ti.relaxation.relax import relax
-from doo_ti.rod.frames import angle_about, matrix_from_quaternion, smallest_rotation
+from doo_ti.rod.frames import angle_about, matrix_from_quaternion, transported
 from doo_ti.rod.metric import distance
 from doo_ti.rod.observations import Observations
 from doo_ti.rod.start import observation_clamps, start_configuration, twist_shares
@@ -127,9 +127,7 @@ def without_twist(observations: Observations, group: np.ndarray) -> tuple[Config
     clamps = observation_clamps(observations)
     if observations.start_frame is None:
         frame = clamps.start_frame
-        first = frame[np.searchsorted(group, group)]
-        transport = matrix_from_quaternion(smallest_rotation(first[..., 0], frame[..., 0]))
-        clamps = replace(clamps, start_frame=transport @ first)
+        clamps = replace(clamps, start_frame=transported(frame[np.searchsorted(group, group)], frame[..., 0]))
     clamps = replace(clamps, start=Clamp.FRAME, end=Clamp.TANGENT)
     free = start_configuration(observations, clamps)
     known = observations.end_frame is not None

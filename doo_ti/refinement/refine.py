@@ -215,8 +215,7 @@ def first_edges(observations: Observations, theta: Theta) -> int:
 
 def check(observations: Observations, clamps: Clamps, options: RefinementOptions) -> None:
     """Raise InputError for options that do not fit the observations or each other, and for rods inside obstacles."""
-    if options.frame_weight > 0 and observations.frames is None:
-        raise InputError(observations.source, "frames", "missing, but a frame weight is given", "use a frame weight of zero")
+    observations.require_frames(options.frame_weight)
     if options.clip is not None and not 0 <= options.clip < 0.25 * observations.length:
         raise InputError(observations.source, "clip", f"{options.clip:g} mm of a rod of {observations.length:g} mm",
                          "give a length from zero up, below a quarter of the rod's")

@@ -202,6 +202,16 @@ def angle_about(tangent: np.ndarray, source: np.ndarray, target: np.ndarray) -> 
     return np.arctan2(sine, np.sum(source * target, axis=-1))
 
 
+def transported(frame: np.ndarray, tangent: np.ndarray) -> np.ndarray:
+    """(..., 3, 3) frames turned by the smallest rotation to the unit ``tangent`` (..., 3)."""
+    return matrix_from_quaternion(smallest_rotation(frame[..., 0], tangent)) @ frame
+
+
+def turn_about_tangent(before: np.ndarray, after: np.ndarray) -> np.ndarray:
+    """Angle (...) in (−π, π] between frames ``before``, transported, and ``after`` (..., 3, 3), rad."""
+    return angle_about(after[..., 0], transported(before, after[..., 0])[..., 1], after[..., 1])
+
+
 def quaternion_of_turn(turn: np.ndarray) -> np.ndarray:
     """(..., 4) rotations by the length of ``turn`` (..., 3), rad, about its direction."""
     angle = np.linalg.norm(turn, axis=-1)

@@ -40,8 +40,7 @@ def distance(configuration: Configuration, observations: Observations, index: Ar
                          f"give whole numbers below {observations.count}")
     if not 0 <= frame_weight < np.inf:
         raise InputError("distance", "frame_weight", f"{frame_weight!r} is no length", "give zero or a positive number of mm")
-    if frame_weight > 0 and observations.frames is None:
-        raise InputError(observations.source, "frames", "missing, but a frame weight is given", "give `frame_weight` 0")
+    observations.require_frames(frame_weight)
     runtime.start()
     result, frames = np.empty(configuration.count), observations.frames
     directors = np.zeros((1, 1, 3)) if frames is None else np.ascontiguousarray(frames[..., 1])

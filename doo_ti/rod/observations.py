@@ -164,6 +164,11 @@ class Observations:
         return replace(self, vertices=self.vertices[:, index], valid=self.valid[:, index], sigma=sigma,
                        rest_length=np.diff(arcs))
 
+    def require_frames(self, weight: float) -> None:
+        """Raise InputError where Eq. 1 is to compare frames, by a ``weight`` w_m above zero, and none were measured."""
+        if weight > 0 and self.frames is None:
+            raise self._error("frames", "missing, but a frame weight is given", "give `frame_weight` 0")
+
     def take(self, index: Rows) -> "Observations":
         """The observations named by ``index``, in that order and as often."""
         per_observation = ("vertices", "valid", "labels", "start_frame", "end_frame", "frames", "total_twist", "end_distance",

@@ -63,8 +63,7 @@ def check_experiment(observations: Observations, clamps: Clamps, weight: float, 
     free = (np.asarray(clamps.start) == Clamp.FREE) & (np.asarray(clamps.end) == Clamp.FREE)
     if weight > 0 and free.any():
         raise InputError(observations.source, "clamps", "both ends are free and the rod has weight", "hold one end")
-    if frame_weight > 0 and observations.frames is None:
-        raise InputError(observations.source, "frames", "missing, but a frame weight is given", "give `frame_weight` 0")
+    observations.require_frames(frame_weight)
     clamped = sum(np.asarray(kind) >= Clamp.TANGENT for kind in (clamps.start, clamps.end))
     if (observations.edges - clamped < 2).any():
         raise InputError(observations.source, "vertices_mm", f"{observations.edges} edges, too few of them free to relax",
