@@ -188,7 +188,7 @@ def load_path(path: str | Path, unit: str | None = None, named: Mapping[str, str
               axes: tuple[str, str] = ("x", "x"), turn: np.ndarray | None = None) -> ClampPath:
     """The clamps' path from a motion file.
 
-    unit   "mm", "cm" or "m": the unit of all lengths, whatever the file states
+    unit   "mm", "cm", "m" or "in": the unit of all lengths, whatever the file states
     named  of a CSV file, some of :data:`doo_ti.io.pose_table.NAMED`: how the file calls them
     axes   of :data:`TOOL_AXES`, of the tools at the start and at the end whose orientations the file states
     turn   (3, 3) by which the path is turned about the origin, into the coordinates of the rods

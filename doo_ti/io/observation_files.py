@@ -109,7 +109,7 @@ def load_observations(path: str | os.PathLike[str], up: ArrayLike | None = None,
     of OptiTrack and Vicon, MuJoCo cables, USD curves, plain polylines (docs/observations.md).
 
     up       (3,) direction against gravity, instead of the file's
-    unit     "mm", "cm" or "m": the unit of all lengths in the file, whatever it states itself
+    unit     "mm", "cm", "m" or "in": the unit of all lengths in the file, whatever it states itself
     columns  of a table: {"x": "PosX", …}, the columns that hold x, y, z, observation and vertex where they have other names;
              of other files: names of markers or curves, in their order along the rod
     without_lost  leave out observations with fewer than two marks, which are else an error

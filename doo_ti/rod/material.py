@@ -206,7 +206,7 @@ def _check_bend(bend: np.ndarray) -> None:
 
 # --- physical units ------------------------------------------------------------------------------------------------------
 
-UNITS_IN_MM = {"mm": 1.0, "cm": 10.0, "m": 1000.0}  # mm in one unit of length, by its name on the command line
+UNITS_IN_MM = {"mm": 1.0, "cm": 10.0, "m": 1000.0, "in": 25.4}  # mm in one unit of length, by its name on the command line
 STANDARD_GRAVITY = 9.80665  # m/s²
 
 
