@@ -229,32 +229,46 @@ def mend(folder: Path) -> None:
             (folder / LOCK).unlink(missing_ok=True)
     except OSError:  # nobody writes
         pass
+    path = folder / TABLE
     try:
-        _mend_table(folder / TABLE)
+        _, entries, sound = _judged(path)
+        if entries is not None and len(sound) == len(entries):
+            return
+        os.close(os.open(folder / LOCK, os.O_CREAT | os.O_EXCL))  # fails where another process writes: it may be half written
+        try:
+            _mend_table(path, *_judged(path))
+        finally:
+            (folder / LOCK).unlink()
     except OSError:  # no table yet, or not ours to mend
         pass
 
 
-def _mend_table(path: Path) -> None:
+def _judged(path: Path) -> tuple[bytes, list[bytes] | None, list[bytes]]:
+    """A table, its entries, None where it is damaged, and those whose kernels are sound."""
     table = path.read_bytes()
     if HEADER.size <= len(table) and HEADER.unpack_from(table)[1:3] != KNOWN_VERSION:
-        return
+        return table, [], []
     entries = _entries(table)
+    return table, entries, [entry for entry in entries or () if _is_sound(path.with_name(_file_of(entry)), _size(entry))]
+
+
+def _mend_table(path: Path, table: bytes, entries: list[bytes] | None, sound: list[bytes]) -> None:
     if entries is None:
         path.unlink()
-        return
-    sound = []
-    for entry in entries:
-        _, name, _, _, size = ENTRY.unpack(entry)
-        kernel = path.with_name(f"{name.decode()}.tic")
-        if _is_sound(kernel, size):
-            sound.append((entry, size))
-        else:
-            kernel.unlink(missing_ok=True)
-    if len(sound) < len(entries):
+    elif len(sound) < len(entries):
+        for entry in set(entries).difference(sound):
+            path.with_name(_file_of(entry)).unlink(missing_ok=True)
         version = HEADER.unpack_from(table)[1:4]
-        header = HEADER.pack(HEADER.size + len(sound) * ENTRY.size, *version, sum(size for _, size in sound), len(sound))
-        write_whole(path, lambda file: file.write(header + b"".join(entry for entry, _ in sound)))
+        header = HEADER.pack(HEADER.size + len(sound) * ENTRY.size, *version, sum(map(_size, sound)), len(sound))
+        write_whole(path, lambda file: file.write(header + b"".join(sound)))
+
+
+def _file_of(entry: bytes) -> str:
+    return f"{ENTRY.unpack(entry)[1].decode()}.tic"
+
+
+def _size(entry: bytes) -> int:
+    return ENTRY.unpack(entry)[4]
 
 
 def _entries(table: bytes) -> list[bytes] | None:

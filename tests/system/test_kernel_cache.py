@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from doo_ti.system.taichi_internals import ENTRY, HEADER, LOCK, TABLE
+from doo_ti.system.taichi_internals import ENTRY, HEADER, LOCK, TABLE, mend
 from tests.processes import python
 
 ONE_KERNEL = """
@@ -114,3 +114,14 @@ def test_the_lock_of_a_killed_process_goes(tmp_path, kept):
     os.utime(folder / LOCK, (an_hour_ago, an_hour_ago))
     run_kernel(tmp_path, XDG_CACHE_HOME=tmp_path)
     assert {path.name for path in folder.iterdir()} == kept.keys()
+
+
+def test_a_table_that_another_process_is_writing_stays(tmp_path):
+    """Half of it may be there: without it all kernels were compiled again."""
+    for name in (TABLE, LOCK):
+        (tmp_path / name).write_bytes(b"")
+    mend(tmp_path)
+    assert (tmp_path / TABLE).exists() and (tmp_path / LOCK).exists()
+    (tmp_path / LOCK).unlink()
+    mend(tmp_path)
+    assert not list(tmp_path.iterdir())
