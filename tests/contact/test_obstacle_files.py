@@ -37,8 +37,7 @@ BAD = {
     "a closed ring": ("thickness = 1.0", "thickness = 4.0", "obstacles[4].thickness", "less than the radius"),
     "no rotation": ("[[0, -1, 0]", "[[0, -2, 0]", "obstacles[5].rotation", "rotation matrix"),
     "not a matrix": ("[[0, -1, 0], [1, 0, 0], [0, 0, 1]]", "[0, 1, 0]", "obstacles[5].rotation", "three rows"),
-    "nothing": (ALL, "", "obstacles", "missing"),
-    "no table": (ALL, "obstacles = [3]", "obstacles[0].kind", "missing")}
+    "nothing": (ALL, "", "obstacles", "missing"), "no table": (ALL, "obstacles = [3]", "obstacles[0].kind", "missing")}
 
 
 def test_all_kinds_are_read(tmp_path):

@@ -18,10 +18,9 @@ from tests.conftest import check_refused
 from tests.learning.lab import DYNAMIC, GRID, interrupted, small_lab
 
 COLUMNS = {
-    "bend_1": "double", "bend_2": "double", "twist": "double", "weight": "double", "observation": "int32",
-    "turns": "int32", "end_distance_mm": "double", "end_rotation_deg": "double", "distance_mm": "double",
-    "energy": "double", "residual": "double", "iterations": "int32", "status": "int8", "stable": "bool",
-    "precision": "int8"}
+    "bend_1": "double", "bend_2": "double", "twist": "double", "weight": "double", "observation": "int32", "turns": "int32",
+    "end_distance_mm": "double", "end_rotation_deg": "double", "distance_mm": "double", "energy": "double",
+    "residual": "double", "iterations": "int32", "status": "int8", "stable": "bool", "precision": "int8"}
 
 
 @pytest.fixture(scope="module")

@@ -269,13 +269,10 @@ def test_small_steps_on_a_long_way_are_no_end_of_it():
 
 
 def test_marks_in_metres_are_warned_of_once():
-    own = some("own mesh")
-    servo = servo_of(own)
+    servo, metres = servo_of_two(), some("own mesh").take(np.arange(2)).rods.vertices / 1000
     with pytest.warns(UserWarning, match="give mm"):
-        servo.step(own.rods.vertices / 1000)
-    with pytest.warns(UserWarning, match="Targets.*give mm"):
-        servo_of(own, targets=d.Targets(own.goal / 1000))
-    servo.step(own.rods.vertices / 1000)
+        servo.step(metres)
+    servo.step(metres)
     assert servo.material.EI is None
 
 
