@@ -233,7 +233,7 @@ def test_swift_motions_say_that_inertia_is_left_out(folder, capsys):
 def test_clamps_inside_an_obstacle_are_said(folder, capsys):
     Path("under.toml").write_text('obstacles = [{ kind = "plane", point = [0, 0, -900], normal = [0, 0, -1] }]')
     np.savez("still.npz", time_s=[0.0, 1.0], end_position_mm=np.load("seen.npz")["vertices_mm"][0, [-1, -1]])
-    command = "predict seen.npz --motion still.npz --bend 1e5 --obstacles under.toml --radius 1 --out f.npz"
+    command = "predict seen.npz --motion still.npz --bend 1e5 --precision f64 --obstacles under.toml --radius 1 --out f.npz"
     assert "mm inside a Plane" in ended(capsys, command, 1)[0]
 
 

@@ -56,7 +56,7 @@ SERVO = f"servo start.npz --target target.npz --rig rig.yaml {MATERIAL} --out ru
 
 
 def test_a_rod_comes_nearer_and_everything_is_written(folder, capsys):
-    out, err = ended(capsys, f"{SERVO} {STIFFER} --steps 2 --no-recording --json")
+    out, err = ended(capsys, f"{SERVO} {STIFFER} --steps 2 --reached 0.001 --no-recording --json")
     said, rows = json.loads(out), list(csv.DictReader(Path("run/steps.csv").read_text().splitlines()))
     start, target = (written(name)["vertices_mm"] for name in ("start.npz", "target.npz"))
     first = np.sqrt(np.sum((start - target) ** 2, axis=-1).mean())

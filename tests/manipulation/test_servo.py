@@ -186,7 +186,8 @@ def test_grippers_do_not_enter_a_wall():
     assert servo.status[0] in (d.ServoStatus.NEAREST, d.ServoStatus.BLOCKED)
 
 
-@pytest.mark.parametrize("off_mm", [1.0, 2.0])
+@pytest.mark.sampled(1)
+@pytest.mark.parametrize("off_mm", [2.0, 1.0])
 def test_clips_that_are_farther_apart_than_reported_do_not_stretch_a_rod(off_mm):
     """A straight target; each clip is off outwards by one or two standard deviations of what is not known of it."""
     rod, clamps = hung()
