@@ -18,13 +18,15 @@ pytest.register_assert_rewrite("tests.commands.calls")
 SEED = 2011
 SHARED_KERNELS = {
     "contact": ("tests/contact/", "tests/groups/", "tests/commands/test_contact.py", "tests/commands/test_group.py",
-                "tests/dynamics/test_energies.py", "tests/refinement/test_on_a_table.py", "tests/perception/test_obstacles.py",
-                "tests/examples/test_examples.py::test_example[12_", "tests/examples/test_examples.py::test_example[13_",
-                "tests/examples/test_examples.py::test_example[14_"),
+                "tests/refinement/test_on_a_table.py", "tests/perception/test_obstacles.py",
+                "tests/commands/test_predict.py::test_clamps_inside", "tests/manipulation/test_servo.py::test_grippers_do_not",
+                "tests/relaxation/test_extremes.py::test_a_start_below", "tests/examples/test_examples.py::test_example[12_",
+                "tests/examples/test_examples.py::test_example[13_", "tests/examples/test_examples.py::test_example[14_"),
+    "motions": ("tests/dynamics/", "tests/commands/test_simulate.py", "tests/motion/"),
     "images": ("tests/perception/", "tests/vision/test_distance_map.py", "tests/vision/test_relaxed_on_images.py",
-               "tests/vision/test_reprojection.py", "tests/commands/test_perceive.py",
-               "tests/commands/test_track.py", "tests/commands/test_servo.py",
-               "tests/examples/test_examples.py::test_example[04_", "tests/examples/test_examples.py::test_example[08_")}
+               "tests/vision/test_reprojection.py", "tests/commands/test_perceive.py", "tests/commands/test_track.py",
+               "tests/commands/test_servo.py", "tests/examples/test_examples.py::test_example[04_",
+               "tests/examples/test_examples.py::test_example[08_")}
 """Tests that use the same kernels, which take up to a minute to compile."""
 
 

@@ -80,31 +80,26 @@ def refined() -> d.Refinement:
     return d.refine(rod, d.observation_clamps(rod), d.Theta(1e6 * np.eye(2), 1e6))
 
 
-CALLS: dict[str, Callable[[], Callable]] = {
-    "relax": lambda: lambda: d.relax(ROPE, MATERIAL, CLAMPS),
-    "relax in f32": lambda: lambda: d.relax(ROPE, MATERIAL, CLAMPS, precision="mixed"),
-    "relax by descent": lambda: lambda: d.relax(ROPE, MATERIAL, CLAMPS, d.Descent(max_iterations=50)),
-    "relax on a plane": lambda: lambda: d.relax(
+CALLS: dict[str, Callable] = {
+    "relax": lambda: d.relax(ROPE, MATERIAL, CLAMPS),
+    "relax in f32": lambda: d.relax(ROPE, MATERIAL, CLAMPS, precision="mixed"),
+    "relax by descent": lambda: d.relax(ROPE, MATERIAL, CLAMPS, d.Descent(max_iterations=50)),
+    "relax on a plane": lambda: d.relax(
         ROPE, MATERIAL, CLAMPS, obstacles=[d.Plane((0, 0, -150), (0, 0, 1)), d.Itself()], radius=1.0),
-    "simulate": lambda: lambda: d.simulate(ROPE, MATERIAL, d.Grippers.resting(CLAMPS, 4), d.Dynamics(), STEPPING),
-    "predict": lambda: lambda: d.predict(ROPE, MATERIAL, CLAMPS, path()),
-    "predict_step": lambda: lambda: d.predict_step(ROPE, MATERIAL, CLAMPS, path().at(1, CLAMPS)),
-    "predict_moving": lambda: lambda: d.predict_moving(ROPE, MATERIAL, CLAMPS, path(), d.Dynamics(), STEPPING),
-    "relax_group": lambda: lambda: d.relax_group(group(), radius=1.0),
-    "follow_group": lambda: lambda: next(d.follow_group(group(), [group().clamps], radius=1.0)),
-    "distance": lambda: lambda: d.distance(ROPE, seen()),
-    "distance_maps": lambda: lambda: d.distance_maps([[detection()]]),
-    "score": scored,
-    "perceive": perceived,
-    "Tracker": tracked,
-    "sensitivity": lambda: lambda: d.sensitivity(d.relax(ROPE, MATERIAL, CLAMPS)),
-    "pullback": lambda: lambda: d.pullback(d.relax(ROPE, MATERIAL, CLAMPS), np.ones((1, 13, 3))),
-    "gripper_jacobian": lambda: lambda: d.gripper_jacobian(d.relax(ROPE, MATERIAL, CLAMPS)),
-    "end_loads": lambda: lambda: d.end_loads(d.relax(ROPE, MATERIAL, CLAMPS)),
-    "sweep": lambda: swept,
-    "refine": lambda: refined,
-    "estimate_twist": lambda: lambda: d.estimate_twist(seen(), MATERIAL),
-    "identify": identified}
+    "simulate": lambda: d.simulate(ROPE, MATERIAL, d.Grippers.resting(CLAMPS, 4), d.Dynamics(), STEPPING),
+    "predict": lambda: d.predict(ROPE, MATERIAL, CLAMPS, path()),
+    "predict_step": lambda: d.predict_step(ROPE, MATERIAL, CLAMPS, path().at(1, CLAMPS)),
+    "predict_moving": lambda: d.predict_moving(ROPE, MATERIAL, CLAMPS, path(), d.Dynamics(), STEPPING),
+    "relax_group": lambda: d.relax_group(group(), radius=1.0),
+    "follow_group": lambda: next(d.follow_group(group(), [group().clamps], radius=1.0)),
+    "distance": lambda: d.distance(ROPE, seen()), "distance_maps": lambda: d.distance_maps([[detection()]]),
+    "sensitivity": lambda: d.sensitivity(d.relax(ROPE, MATERIAL, CLAMPS)),
+    "pullback": lambda: d.pullback(d.relax(ROPE, MATERIAL, CLAMPS), np.ones((1, 13, 3))),
+    "gripper_jacobian": lambda: d.gripper_jacobian(d.relax(ROPE, MATERIAL, CLAMPS)),
+    "end_loads": lambda: d.end_loads(d.relax(ROPE, MATERIAL, CLAMPS)), "sweep": swept, "refine": refined,
+    "estimate_twist": lambda: d.estimate_twist(seen(), MATERIAL)}
+PREPARED = {"score": scored, "perceive": perceived, "Tracker": tracked, "identify": identified}
+"""Functions that prepare what is given, and return the call."""
 
 
 def numbers(value: object) -> list[np.ndarray]:
@@ -122,7 +117,7 @@ def numbers(value: object) -> list[np.ndarray]:
 
 
 def main(name: str, count: int) -> str:
-    call, together = CALLS[name](), Barrier(count)
+    call, together = PREPARED[name]() if name in PREPARED else CALLS[name], Barrier(count)
 
     def work(_: int) -> list[np.ndarray] | str:
         together.wait()

@@ -51,9 +51,8 @@ def test_wrong_options(capsys, tmp_path, words, expected):
 
 @pytest.mark.parametrize("words, expected", [
     ("--bend 1e5:1e6:0", ("--bend", "zero cells")), ("--twist 1e5", ("--bend", "missing")),
-    ("--bend 1e5 --twist-ratio -1:1:5:lin", ("--twist-ratio", "not positive")),
-    ("--bend-1 1e5:1e6:3", ("bend_2", "missing")), ("--bend 1e5 --seed x", ("--seed", "'x'")),
-    ("--bend 1e5 --seed -1", ("--seed", "below 0")),
+    ("--bend 1e5 --twist-ratio -1:1:5:lin", ("--twist-ratio", "not positive")), ("--bend-1 1e5:1e6:3", ("bend_2", "missing")),
+    ("--bend 1e5 --seed x", ("--seed", "'x'")), ("--bend 1e5 --seed -1", ("--seed", "below 0")),
     ("--bend 1e5 --workers 9223372036854775808", ("--workers", "above 1024")),
     ("--bend 1e5 --workers 2 --dask tcp://127.0.0.1:1", ("--dask", "--workers"))])
 def test_wrong_grids_and_other_options_of_sweep(capsys, tmp_path, words, expected):
@@ -68,7 +67,7 @@ def test_unknown_command(capsys, tmp_path):
         refused(capsys, tmp_path, argv, word)
 
 
-def test_outputs_that_cannot_be(capsys, tmp_path):
+def test_outputs_that_cannot_or_may_not_be(capsys, tmp_path, monkeypatch):
     write_good(tmp_path)
     Path("folder.npz").mkdir()
     Path("dangling").symlink_to("missing")
@@ -84,10 +83,6 @@ def test_outputs_that_cannot_be(capsys, tmp_path):
     refused(capsys, tmp_path, f"{sweep} good.npz", "--out", "good.npz")
     refused(capsys, tmp_path, [*sweep.split(), ""], "--out", "is not a folder")
     refused(capsys, tmp_path, f"{sweep} dangling/run", "--out", "dangling")
-
-
-def test_outputs_that_may_not_be(capsys, tmp_path, monkeypatch):
-    write_good(tmp_path)
     monkeypatch.setattr(os, "access", lambda path, mode: False)
     for command, out in (("relax", "F.npz"), ("sweep", "new/run")):
         argv = [command, tmp_path / "good.npz", *MATERIAL, "--out", tmp_path / out]
@@ -96,8 +91,7 @@ def test_outputs_that_may_not_be(capsys, tmp_path, monkeypatch):
 
 @pytest.mark.sampled(1)
 @pytest.mark.parametrize("words", [
-    "plan scenes/silk.toml --sigma 1e-300",
-    "synth scenes/silk.toml --images absent --rig scenes/rig.yaml --diameter 1e300"])
+    "plan scenes/silk.toml --sigma 1e-300", "synth scenes/silk.toml --images absent --rig scenes/rig.yaml --diameter 1e300"])
 def test_no_library_says_anything_beside_the_line(words):
     """In a separate process, with Taichi loaded, whose standard error is captured."""
     done = python("-m", "doo_ti", *words.split())

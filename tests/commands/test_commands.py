@@ -18,7 +18,6 @@ from doo_ti.learning.landscape import gather_landscape
 from doo_ti.rod.frames import bishop_frames, unit_vectors
 from tests.commands.calls import MATERIAL, made, refused, succeeded, write_good, written
 from tests.learning.lab import small_lab
-from tests.processes import python
 
 SCENE = """
 name = "silk"
@@ -160,13 +159,6 @@ def test_relax_writes_every_key(capsys, tmp_path):
     np.testing.assert_array_equal(written("new/F.npz")["vertices_mm"], found["vertices_mm"])
 
 
-@pytest.mark.thorough
-def test_machines_get_nothing_but_json(tmp_path):
-    write_good(tmp_path)
-    done = python("-m", "doo_ti", "relax", "good.npz", *MATERIAL, "--json", "--out", "F.npz", folder=tmp_path)
-    assert done.returncode == 0 and json.loads(done.stdout)["observations"] == 3
-
-
 def test_relax_picks_the_turn_that_was_seen(tmp_path):
     write_good(tmp_path)
     np.savez("unknown.npz", **{name: key for name, key in written("good.npz").items() if name != "total_twist_deg"})
@@ -217,8 +209,7 @@ def test_settled_hypotheses_are_reported(capsys, tmp_path):
 @pytest.mark.parametrize("words, expected", [
     (["--pairs", "pairs.csv"], ["--pairs", "the objective is static"]),
     (["--objective", "dynamic", "--pairs", "absent.csv"], ["absent.csv", "no such file"]),
-    (["--objective", "both"], ["--objective", "'both'"]),
-    (["--spins", "9999"], ["--roll-hypotheses", "9999"]),
+    (["--objective", "both"], ["--objective", "'both'"]), (["--spins", "9999"], ["--roll-hypotheses", "9999"]),
     (["--spins", "12"], ["lab.npz", "spins", "no end is held by its tangent alone"])])
 def test_what_makes_no_sense_is_refused(capsys, tmp_path, words, expected):
     refused(capsys, tmp_path, ["sweep", written_lab(tmp_path), *GRID, "--out", "run", *words], *expected)

@@ -91,11 +91,6 @@ def test_predict_carries_rods_over_a_table(folder, capsys, table):
     assert (np.abs(found["contact_force"][-1, ..., :2]).max() > 1e-3) == (table == "rough.toml")
 
 
-def test_a_scene_of_motion_has_its_own_obstacles(folder, capsys):
-    words = f"simulate {folder}/scene.toml --out f.npz --obstacles {folder}/table.toml --radius 2"
-    refused(capsys, folder, words, "the scene has its own")
-
-
 RELAX = f"relax rods.npz {MATERIAL} --out f.npz"
 SEEN = "--rig rig.yaml --rest-length 3:9 --bend 6e5 --out f.npz"
 
@@ -106,6 +101,7 @@ SEEN = "--rig rig.yaml --rest-length 3:9 --bend 6e5 --out f.npz"
     (f"{RELAX} --obstacles table.toml --radius 1 --solver descent", "--solver: descent given beside"),
     (f"{RELAX} --obstacles single.toml --radius 1", "obstacles: one table, in single brackets; write [[obstacles]]"),
     (f"{RELAX} --obstacles grid.toml --radius 2", "none.npz: file: no such file"),
+    ("simulate scene.toml --out f.npz --obstacles table.toml --radius 2", "the scene has its own"),
     *((f"{command} --obstacles table.toml", "--radius: missing beside --obstacles") for command in (
         RELAX, "sweep rods.npz --bend 1e5:1e6:3 --out run", f"perceive a.png {SEEN}", f"track --frames frames.csv {SEEN}"))])
 def test_wrong_options_are_refused_in_one_line(folder, capsys, monkeypatch, words, message):

@@ -64,12 +64,9 @@ def test_columns_that_others_call_otherwise_are_asked_for(tmp_path, capfd):
     assert load_observations("out.npz").count == len(MARKS)
 
 
-def test_lengths_that_the_marks_contradict_are_refused(tmp_path, metres, capfd):
+def test_lengths_that_the_marks_contradict_are_refused_and_those_that_they_hardly_allow_doubted(tmp_path, metres, capfd):
     refused(capfd, tmp_path, f"{METRES} --unit m --rest-length 300", "--rest-length: 300 mm, but arcs through the marks are")
     succeeded(capfd, f"{METRES} --unit m --rest-length 110")
-
-
-def test_lengths_that_the_marks_hardly_allow_are_doubted():
     seen = Observations(MARKS)
     stated, plausible = (replace(seen, rest_length=share * seen.arcs) for share in (1.1, 0.98))
     assert "rest_length_mm" in length_doubt(stated) and f"{1.1 * seen.arcs.sum():.4g} mm" in length_doubt(stated)
@@ -207,24 +204,16 @@ def test_a_finer_mesh_lies_on_the_curve_through_the_marks(tmp_path, capsys):
     refused(capsys, tmp_path, "convert marks.npz no.npz --edges 1")
 
 
-@pytest.fixture
-def take(tmp_path, rng):
+def test_frames_and_markers_are_chosen_and_what_a_motion_cannot_have_is_refused(tmp_path, rng, capsys):
     np.savez("take.npz", positions_mm=rng.normal(size=(2, 40, 6, 3)), rate_hz=100.0, recording=np.array(["slow", "fast"]))
-
-
-def test_frames_and_markers_are_chosen(take, capsys):
     out = succeeded(capsys, "convert take.npz out.npz --motion --select 0:20:4 --marks 1:-1")
     assert out.startswith("2 recordings of 5 frames of 4 markers at 25/s, 0 positions missing")
     found, whole = read_recording("out.npz"), read_recording("take.npz")
     np.testing.assert_array_equal(found.positions, whole.positions[:, :20:4, 1:-1])
     assert found.rate == 25.0 and found.names == whole.names
-
-
-@pytest.mark.parametrize(("words", "named"), [
-    ("--select 5:5", "positions_mm: none is left"), ("--complete", "--complete: given with --motion"),
-    ("--rest-length 100", "--rest-length: given with --motion"), ("--edges 9", "--edges: given with --motion")])
-def test_what_a_motion_cannot_have_is_refused(words, named, take, tmp_path, capsys):
-    refused(capsys, tmp_path, f"convert take.npz out.npz --motion {words}", named)
+    refused(capsys, tmp_path, "convert take.npz out.npz --motion --select 5:5", "positions_mm: none is left")
+    for words in ("--complete", "--rest-length 100", "--edges 9"):
+        refused(capsys, tmp_path, f"convert take.npz out.npz --motion {words}", f"{words.split()[0]}: given with --motion")
 
 
 def test_a_recording_that_states_no_rate_needs_one(tmp_path, capsys):

@@ -137,14 +137,11 @@ def test_a_motion_that_begins_elsewhere_is_pointed_out(folder, capsys):
         assert "warning" not in ended(capsys, words("seen.npz", motion, more))[1]
 
 
-def test_frames_of_the_path_hold_rods_that_had_none(folder):
+def test_rods_without_frames_are_held_by_those_of_the_path_and_carried_by_marks_at_their_end_edges(folder):
     free = made(words("bare.npz", "frames.npz", "--relative"))
     assert (free["end_rotation_deg"] == 0).all(), "spins are free"
     d.save_observations("one.npz", d.load_observations("bare.npz").take([0]))
     np.testing.assert_allclose(made(words("one.npz", "frames.npz"))["end_rotation_deg"], [[0], [60]], atol=1e-6)
-
-
-def test_marks_carry_rods_by_their_end_edges(folder):
     vertices = made(words("bare.npz", "marks.npz"))["vertices_mm"]
     np.testing.assert_allclose(vertices[-1] - vertices[0], np.broadcast_to([3.0, 0, 1], (2, 21, 3)), atol=1e-3)
 
@@ -236,7 +233,7 @@ def test_swift_motions_say_that_inertia_is_left_out(folder, capsys):
 def test_clamps_inside_an_obstacle_are_said(folder, capsys):
     Path("under.toml").write_text('obstacles = [{ kind = "plane", point = [0, 0, -900], normal = [0, 0, -1] }]')
     np.savez("still.npz", time_s=[0.0, 1.0], end_position_mm=np.load("seen.npz")["vertices_mm"][0, [-1, -1]])
-    command = "predict seen.npz --motion still.npz --bend 1e5 --obstacles under.toml --radius 1 --out f.npz"
+    command = "predict seen.npz --motion still.npz --bend 1e5 --precision f64 --obstacles under.toml --radius 1 --out f.npz"
     assert "mm inside a Plane" in ended(capsys, command, 1)[0]
 
 

@@ -96,8 +96,6 @@ def test_runs_in_folders(capsys, tmp_path, rng):
 BENDS = np.geomspace(1e5, 4e6, 4)
 RIBBON = Grid((Axis("bend_1", BENDS), Axis("bend_2", BENDS), Axis("twist", [6e5])))
 ROUND = Grid((Axis("bend", BENDS), Axis("twist_ratio", [0.5, 1.0, 2.0])))
-
-
 FEW = {"end_distances_mm": (42.0, 66.0), "end_rotations_deg": (0.0, 60.0, 120.0, 180.0)}
 
 

@@ -24,8 +24,6 @@ end_position_mm = [250, 0, 0]
 time_s = 0.2
 end_position_mm = [250, 40, 20]
 """
-
-
 FIT = "--modes 0 --fit bend_damping --bend 5e5"
 
 
@@ -134,15 +132,15 @@ def test_poses_of_grippers_without_markers(recording, theta, tmp_path, capsys):
     np.testing.assert_allclose(made(f"{command} --rate 50")["positions_mm"][0, :, -1], ends, atol=0.1)
 
 
-@pytest.mark.parametrize(("change", "field"), [({"rate_hz": -1.0}, "rate_hz"), ({"positions_mm": "text"}, "positions_mm")])
-def test_wrong_recordings_are_one_line(recording, theta, change, field, tmp_path, capsys):
-    np.savez("wrong.npz", **written(recording / "recorded.npz") | change)
-    for command in (f"simulate wrong.npz --theta {theta} --out f.npz", "identify wrong.npz --out f.json"):
-        refused(capsys, tmp_path, command, field)
-
-
-def test_gaps_are_filled_only_if_asked(recording, theta, tmp_path, capsys):
-    content = written(recording / "recorded.npz")
+def test_wrong_recordings_and_thetas_of_other_rods_are_one_line_and_gaps_are_filled_only_if_asked(
+        recording, theta, tmp_path, capsys):
+    content, form = written(recording / "recorded.npz"), json.loads(theta.read_text())
+    for change in ({"rate_hz": -1.0}, {"positions_mm": "text"}):
+        np.savez("wrong.npz", **content | change)
+        for command in (f"simulate wrong.npz --theta {theta} --out f.npz", "identify wrong.npz --out f.json"):
+            refused(capsys, tmp_path, command, *change)
+    Path("other.json").write_text(json.dumps(form | {"rest_length_mm": form["rest_length_mm"][:-1]}))
+    refused(capsys, tmp_path, f"simulate {recording}/recorded.npz --theta other.json --out f.npz", "rest_length_mm")
     content["positions_mm"][1, 20:23, 3] = np.nan
     np.savez("gaps.npz", **content)
     command = f"simulate gaps.npz --theta {theta} --out out.npz"
@@ -165,13 +163,6 @@ def test_energy_that_the_time_steps_lose_is_said(capsys):
     for substeps, said in ((1, True), (16, False)):
         printed = succeeded(capsys, f"simulate rod.toml --substeps {substeps} --out r.npz")
         assert ("the time steps lose up to" in printed) is said
-
-
-def test_a_theta_of_another_rod(recording, theta, tmp_path, capsys):
-    content = json.loads(theta.read_text())
-    content["rest_length_mm"] = content["rest_length_mm"][:-1]
-    Path("other.json").write_text(json.dumps(content))
-    refused(capsys, tmp_path, f"simulate {recording}/recorded.npz --theta other.json --out f.npz", "rest_length_mm")
 
 
 def test_pictures_and_animations():

@@ -94,12 +94,9 @@ def test_wrong_options(capsys, tmp_path, words, named):
     refused(capsys, tmp_path, f"{SYNTH} {words}", *named)
 
 
-@pytest.mark.parametrize("words", ["--rig absent.yaml", "--seed 3", "--render noise=2"])
-def test_options_of_images_need_images(capsys, tmp_path, words):
-    refused(capsys, tmp_path, f"synth silk.toml --out o.npz {words}", words.split()[0], "--images")
-
-
 def test_wrong_places_scenes_and_rigs(capsys, tmp_path):
+    for words in ("--rig absent.yaml", "--seed 3", "--render noise=2"):
+        refused(capsys, tmp_path, f"synth silk.toml --out o.npz {words}", words.split()[0], "--images")
     refused(capsys, tmp_path, SYNTH.replace("--rig cameras.yaml", ""), "--rig", "missing")
     refused(capsys, tmp_path, "synth silk.toml", "--out", "missing")
     refused(capsys, tmp_path, SYNTH.replace("new/images", "silk.toml"), "--images", "is a file")

@@ -59,9 +59,8 @@ def test_a_video_is_tracked_and_recorded(filmed, capsys):
     found = written("new/f.npz")
     assert {name: value.shape for name, value in found.items()} == {
         "name": (FRAMES,), "time_s": (FRAMES,), "rest_length_mm": (EDGES,), "up": (3,), "length_range_mm": (2,),
-        "vertices_mm": (FRAMES, EDGES + 1, 3),
-        "energy_vis": (FRAMES,), "camera_error_px": (FRAMES, 3), "status": (FRAMES,), "stable": (FRAMES,), "how": (FRAMES,),
-        "verdict": (FRAMES,), "doubts": (FRAMES,), "sigma_mm": (FRAMES, EDGES + 1)}
+        "vertices_mm": (FRAMES, EDGES + 1, 3), "energy_vis": (FRAMES,), "camera_error_px": (FRAMES, 3), "status": (FRAMES,),
+        "stable": (FRAMES,), "how": (FRAMES,), "verdict": (FRAMES,), "doubts": (FRAMES,), "sigma_mm": (FRAMES, EDGES + 1)}
     assert "".join(map(str, found["how"])) == "1000221000000000"
     off = np.linalg.norm(found["vertices_mm"] - rods(), axis=-1).mean(axis=1)
     assert np.isnan(off[list(BLANK)]).all() and np.delete(off, BLANK).max() < 0.15

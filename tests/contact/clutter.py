@@ -7,9 +7,8 @@ from doo_ti import Box, Capsule, Clamp, Clamps, Configuration, Cylinder, Materia
 LENGTH, EDGES, RADIUS = 100.0, 33, 0.5
 
 OBSTACLES = (
-    Cylinder((20, -50, -10), (20, 50, -14), 2.0), Capsule((60, -30, -15), (50, 50, -15), 3.0),
-    Plane((0, 0, -30), (0, 0.2, 1)), Sphere((40, 10, -20), 6.0), Box((70, 15, -20), (10, 20, 10)),
-    Ring((35, 15, -10), (1, 0.3, 0), 12, 2.0))
+    Cylinder((20, -50, -10), (20, 50, -14), 2.0), Capsule((60, -30, -15), (50, 50, -15), 3.0), Plane((0, 0, -30), (0, 0.2, 1)),
+    Sphere((40, 10, -20), 6.0), Box((70, 15, -20), (10, 20, 10)), Ring((35, 15, -10), (1, 0.3, 0), 12, 2.0))
 SLOPE_AND_BALL = {"obstacles": [Plane((0, 0, 0), (0.05, 0.02, 1)), Sphere((60, 3, -8), 12.0)], "radius": 2.0}
 LEANING = straight_rod(LENGTH, 24, (0.0, 0.0, 12.0), (1.0, 0.2, -0.1))  # above these
 

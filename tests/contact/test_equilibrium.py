@@ -15,15 +15,11 @@ def rested():
     return relax(start, material, clamps, obstacles=OBSTACLES, radius=RADIUS), material, clamps
 
 
-def test_most_rods_converge_and_the_rest_are_flagged(rested):
+def test_most_rods_converge_outside_the_obstacles_and_the_rest_are_flagged(rested):
     solution, _, _ = rested
     feasible = solution.status != Status.INFEASIBLE
     assert feasible.mean() > 0.5 and solution.converged[feasible].mean() >= 0.99
     assert solution.stable[solution.converged].mean() > 0.97
-
-
-def test_no_rod_is_inside_an_obstacle(rested):
-    solution, _, _ = rested
     gap = gaps(OBSTACLES, solution.configuration.vertices[solution.converged], RADIUS)
     assert gap.min() > -1e-3 * RADIUS and np.median(gap) < 1e-3 * RADIUS, "inside, or hardly any rod touches"
 

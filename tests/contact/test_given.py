@@ -56,13 +56,10 @@ def test_what_is_no_list_of_obstacles(wrong, problem):
         check_refused(f"obstacles: {problem}", call, obstacles=wrong, radius=1.0)
 
 
-def test_prediction_refuses_friction():
+def test_friction_in_predictions_and_reflections_are_refused():
     path = ClampPath(time=np.arange(2.0), end_position=np.zeros((2, 1, 3)))
     rough = replace(FLOOR, friction=0.3)
     check_refused("obstacles: with friction", predict, ROD, MATERIAL, HELD, path, obstacles=[rough], radius=1.0)
-
-
-def test_reflections_are_no_rotations():
     mirror = np.diag([1.0, 1.0, -1.0])
     check_refused("rotation: a reflection", Box, (0, 0, 0), (1, 1, 1), mirror)
     check_refused("rotation: a reflection", Moving, FLOOR, np.zeros((2, 3)), np.stack([np.eye(3), mirror]))

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from doo_ti import Clamp, Configuration, Grippers, Moving, Observations, Plane, RecordedMotion, Stepping, Surroundings, simulate
+from doo_ti.commands.results import plain
 from doo_ti.dynamics.identify import IdentifyOptions, identify, identify_from_guesses
 from doo_ti.dynamics.theta import MotionTheta, Stills, Unknowns, load_theta, save_form, simulated
 from doo_ti.rod.frames import bishop_frames, quaternion_from_matrix, rotation_matrix
@@ -111,8 +112,7 @@ def test_what_cannot_be_identified_is_one_line(rng):
 
 
 def written(path, friction: float | None):
-    form = {key: value.tolist() if isinstance(value, np.ndarray) else value for key, value in save_form(TRUE).items()}
-    path.write_text(json.dumps(form | {"friction": friction}))
+    path.write_text(json.dumps(plain(save_form(TRUE)) | {"friction": friction}))
     return path
 
 

@@ -1,18 +1,15 @@
 """The numbers that contact goes by: with each halved or doubled rods converge as often, and end where they do otherwise."""
 
 import json
-import subprocess
-import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 from doo_ti.relaxation import contact_table
+from tests.processes import python
 
 pytestmark = pytest.mark.slow
 
-ROOT = Path(__file__).resolve().parents[2]
 NUMBERS = [name for name, value in vars(contact_table).items() if isinstance(value, float)
            and name not in ("ROUGH", "FINE", "GAP_TOLERANCE")]
 BOUNDED = {"SHORTENED"}  # shares near one: doubled, half of what they are short of it
@@ -42,8 +39,7 @@ print(json.dumps({
 
 
 def found(name: str, value: float) -> dict:
-    command = [sys.executable, "-c", RODS, contact_table.__name__, name, str(value)]
-    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
+    done = python("-c", RODS, contact_table.__name__, name, value)
     assert done.returncode == 0, done.stderr
     return json.loads(done.stdout.splitlines()[-1])
 

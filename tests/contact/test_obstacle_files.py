@@ -37,8 +37,7 @@ BAD = {
     "a closed ring": ("thickness = 1.0", "thickness = 4.0", "obstacles[4].thickness", "less than the radius"),
     "no rotation": ("[[0, -1, 0]", "[[0, -2, 0]", "obstacles[5].rotation", "rotation matrix"),
     "not a matrix": ("[[0, -1, 0], [1, 0, 0], [0, 0, 1]]", "[0, 1, 0]", "obstacles[5].rotation", "three rows"),
-    "nothing": (ALL, "", "obstacles", "missing"),
-    "no table": (ALL, "obstacles = [3]", "obstacles[0].kind", "missing")}
+    "nothing": (ALL, "", "obstacles", "missing"), "no table": (ALL, "obstacles = [3]", "obstacles[0].kind", "missing")}
 
 
 def test_all_kinds_are_read(tmp_path):
@@ -71,7 +70,7 @@ def test_scenes_have_obstacles_and_the_radius_of_the_rod(tmp_path, kind):
     check_refused(r"rod\.radius_mm: 0 is not allowed; give a number > 0", load_motion_scene, path)
 
 
-def test_gaps_are_those_of_edges_too():
+def test_gaps_are_those_of_edges_too_and_the_axis_of_a_ring_is_far_from_it():
     rods = np.array([[[-30.0, 0, 12], [30, 0, 12]], [[-30, 0, 40], [30, 0, 5]], [[np.nan] * 3] * 2])
     around = Surroundings([Sphere((0, 0, 0), 10.0), Plane((0, 0, -1), (0, 0, 1))], 2.0)
     gap = around.smallest_gap(rods)
@@ -79,9 +78,6 @@ def test_gaps_are_those_of_edges_too():
     assert (around.take(np.array([1])).smallest_gap(rods[1:2]) == gap[1]).all()
     each = Surroundings([Sphere([[0, 0, 0], [0, 0, 100]], [10.0, 1.0])], np.array([2.0, 3.0]))
     assert each.take(np.array([1])).smallest_gap(rods[1:2]) == pytest.approx(each.smallest_gap(rods[:2])[1])
-
-
-def test_on_the_axis_of_a_ring_is_far_from_it():
     value, normal = Ring((0, 0, 0), (0, 0, 1), 6.0, 1.5).distance(np.zeros((1, 1, 3)))
     assert value == pytest.approx(4.5) and np.linalg.norm(normal) == pytest.approx(1.0)
 

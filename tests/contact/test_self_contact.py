@@ -25,8 +25,8 @@ from tools.studies.knots_and_coils import WEIGHT, tied
 RADIUS, STIFFNESS = 1.0, 1e5
 
 
-def test_distance_of_edges(rng):
-    """Against the least of the distances between many places on both."""
+def test_distances_of_edges_and_gaps_of_rods_without_places_and_of_short_ones(rng):
+    """Against the least of the distances between many places on both edges."""
     w, p, q = rng.normal(size=(3, 60, 3))
     p[:20] = q[:20] * rng.uniform(-2.0, 2.0, (20, 1))
     share = np.linspace(0.0, 1.0, 201)
@@ -34,6 +34,8 @@ def test_distance_of_edges(rng):
     places = np.sqrt((((w + t * q) - s * p) ** 2).sum(axis=-1)).min(axis=(0, 1))
     found = edge_distance(w, p, q)
     assert (found <= places + 1e-12).all() and np.abs(found - places).max() < 0.02
+    assert np.isnan(smallest_self_gap(np.full((1, 8, 3), np.nan), np.array([1.0]))).all()
+    assert np.isinf(smallest_self_gap(straight_rod(10.0, 2).vertices, np.array([1.0]))).all()
 
 
 @ti.kernel
@@ -156,11 +158,6 @@ def test_a_rod_whose_ends_are_too_near_is_infeasible():
     held = end_clamps(ring, Clamp.FRAME, Clamp.FRAME)
     solution = relax(ring, Material(STIFFNESS, STIFFNESS, 0.0), held, obstacles=[Itself()], radius=RADIUS)
     assert solution.status[0] == Status.INFEASIBLE
-
-
-def test_gaps_of_rods_without_places_and_of_short_ones():
-    assert np.isnan(smallest_self_gap(np.full((1, 8, 3), np.nan), np.array([1.0]))).all()
-    assert np.isinf(smallest_self_gap(straight_rod(10.0, 2).vertices, np.array([1.0]))).all()
 
 
 def test_wrong_knots_are_one_line():

@@ -72,8 +72,7 @@ def worst(slopes, differences):
 @pytest.mark.parametrize("start, end, options", [
     (Clamp.FRAME, Clamp.TANGENT, {"smooth": False}), (Clamp.FRAME, Clamp.FRAME, {"smooth": False, "scheme": "euler"}),
     (Clamp.FRAME, Clamp.FRAME, {"substeps": 2}), (Clamp.TANGENT, Clamp.POSITION, {}),
-    (Clamp.FRAME, Clamp.FREE, {"smooth": False}), (Clamp.FREE, Clamp.FRAME, {}),
-    (Clamp.FREE, Clamp.FREE, {"smooth": False})])
+    (Clamp.FRAME, Clamp.FREE, {"smooth": False}), (Clamp.FREE, Clamp.FRAME, {}), (Clamp.FREE, Clamp.FREE, {"smooth": False})])
 def test_derivatives_are_those_of_the_motion(start, end, options):
     errors = worst(*slopes_and_differences(start, end, **options))
     assert errors.max() < 1e-5, errors

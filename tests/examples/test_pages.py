@@ -11,7 +11,6 @@ import sys
 from contextlib import chdir, redirect_stdout
 from functools import cache
 from io import StringIO
-from pathlib import Path
 
 import numpy as np
 import pyarrow.parquet
@@ -21,8 +20,8 @@ import doo_ti
 from doo_ti import Status, sweep
 from doo_ti.commands.cli import main
 from tests.learning.lab import DYNAMIC, GRID, small_lab
+from tests.processes import ROOT
 
-ROOT = Path(__file__).resolve().parents[2]
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
 BLOCK = re.compile(r"^```(\w+)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 

@@ -22,8 +22,7 @@ def shaken(rod, end) -> Grippers:
     still = Grippers.resting(end_clamps(rod, Clamp.FRAME, end), MOMENTS)
     aside = 8.0 * np.sin(0.3 * np.arange(MOMENTS))[:, None] * [1.0, 0.0, 0.0]
     nearer = 0.0 if end == Clamp.FREE else 0.3 * (still.end_position - still.start_position)
-    return replace(still, start_position=still.start_position + aside,
-                   end_position=still.end_position - nearer + 0.5 * aside)
+    return replace(still, start_position=still.start_position + aside, end_position=still.end_position - nearer + 0.5 * aside)
 
 
 def followed(group: Group, moments: list, **options) -> list:

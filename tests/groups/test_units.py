@@ -90,16 +90,13 @@ def test_groups_in_motion(density):
         assert given.newton[0] * one.kinetic[0] == pytest.approx(NEWTON * other.kinetic[0], rel=1e-6, abs=1e-12)
 
 
-def test_rows_have_units_of_their_own():
+def test_rows_have_units_of_their_own_and_units_cannot_be_mixed():
     weights = np.array([0.6, 0.3])
     group = replace(tied().take([0, 0]), materials=[Material.from_physical(1e-4, 8e-5, weights), PHYSICAL[1]])
     solution = relax_group(group)
     assert solution.converged.all() and group.newton == pytest.approx(weights / 2e3)
     carried = group.newton * (solution.start_force + solution.end_force)[..., 2].sum(axis=1)
     assert np.allclose(carried, weights * 0.3 + 0.05 * 0.1, atol=1e-7)
-
-
-def test_units_cannot_be_mixed():
     for materials, rods in (([PHYSICAL[0], Material(1e5, 1e5)], "rod 0 .* rod 1"),
                             ([Material(1e5, 1e5, 0.0), PHYSICAL[1]], "rod 1 .* rod 0")):
         check_refused(f"Group: materials: that of {rods} is relative to weight; give all", replace, tied(), materials=materials)
@@ -123,10 +120,12 @@ def closed(edges: int, material: Material, clamp: Clamp) -> GroupSolution:
     return certified(relax_group(Group([ring], material, [end_clamps(ring, clamp, Clamp.FREE)], [weld])))
 
 
-def test_a_ring_closes_without_a_joint():
+def test_a_ring_closes_without_a_joint_and_its_end_edges_have_the_directions_of_the_curve():
     exact = 0.5 * (2 * np.pi) ** 2 / LENGTH
     errors = [abs(closed(edges, Material(1.0, 5.0, 0.0), Clamp.POSITION).energy[0] / exact - 1) for edges in EDGES]
     assert (orders(EDGES, errors) > 1.81).all() and errors[-1] < 1.1e-3
+    assert np.allclose(circle(20).frames[0, [0, -1], :, 0], [1, 0, 0], atol=1e-9)
+    assert np.allclose(straight_rod(100.0, 5, direction=(0, 0, 2), vertex_clamps=True).frames[0, :, :, 0], [0, 0, 1])
 
 
 @pytest.mark.thorough
@@ -144,8 +143,3 @@ def test_a_heavy_ring_hangs_as_the_smooth_one():
     hung = [closed(edges, material, Clamp.TANGENT).rods[0].vertices[..., 2] for edges in EDGES]
     errors = [abs(np.ptp(heights) / exact - 1) for heights in hung]
     assert (orders(EDGES, errors)[1:] > 1.81).all() and errors[-1] < 2e-4
-
-
-def test_the_directions_of_end_edges_are_those_of_the_curve():
-    assert np.allclose(circle(20).frames[0, [0, -1], :, 0], [1, 0, 0], atol=1e-9)
-    assert np.allclose(straight_rod(100.0, 5, direction=(0, 0, 2), vertex_clamps=True).frames[0, :, :, 0], [0, 0, 1])

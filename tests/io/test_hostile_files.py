@@ -22,9 +22,9 @@ from doo_ti.system.files import read_content
 from doo_ti.vision.images import _stated, load_sets, read_image
 from tests.conftest import check_refused
 from tests.io.test_formats import MARKS
+from tests.processes import ROOT
 
 resource = pytest.importorskip("resource", reason="the memory of a process is limited on Unix only")
-ROOT = Path(__file__).parents[2]
 MOST_BYTES, MOST_ADDRESSES, MOST_SECONDS = 1 << 30, 8 << 30, 300
 MOST_SECONDS_EACH = 10.0
 
@@ -77,10 +77,9 @@ def small() -> dict[str, bytes]:
         "between.toml": "between = 100000\n" + scene(rate_hz="", duration_s="", obstacles=SPHERES, rod=THIN, moments=times,
                                                      materials="{ a = { bend = 1e5, twist = 1e5 } }")}
     return {name: text.encode() for name, text in texts.items()} | {
-        "shape.npz": npz("(3000000000, 4, 3)"),
-        "bzip2.npz": npz("(625000, 4, 3)", large, zipfile.ZIP_BZIP2),
-        "lzma.npz": npz("(625000, 4, 3)", large, zipfile.ZIP_LZMA),
-        "rows.parquet": parquet(10_000_000), "damaged.stl": b"solid \xe9\xff" + bytes(range(256)),
+        "shape.npz": npz("(3000000000, 4, 3)"), "bzip2.npz": npz("(625000, 4, 3)", large, zipfile.ZIP_BZIP2),
+        "lzma.npz": npz("(625000, 4, 3)", large, zipfile.ZIP_LZMA), "rows.parquet": parquet(10_000_000),
+        "damaged.stl": b"solid \xe9\xff" + bytes(range(256)),
         "entities.xml": f'<!DOCTYPE m [<!ENTITY a0 "{"x" * 900}">{ENTITIES}]><mujoco>&a9;</mujoco>'.encode("utf-16"),
         "count.stl": bytes(80) + b"\xff" * 4 + bytes(50), "elements.ply": HEAVY + b"\xff" * 40,
         "charset.obj": b"v 0 0 \xff\xfe\x81\n", "points.xyz": b"1 2 3\n\n" * 1400, **images()}
@@ -209,8 +208,8 @@ def test_a_file_beyond_its_bound_is_not_read(tmp_path):
     check_refused("at most", read_content, tmp_path / "large")
 
 
-def test_an_npz_that_unpacks_to_more_than_the_bound(tmp_path, monkeypatch):
-    """Zeros, a thousand times as many bytes as the file has."""
+def test_files_that_unpack_to_more_than_the_bound_are_refused(tmp_path, monkeypatch):
+    """An npz of zeros, a thousand times as many bytes as the file has; and a table."""
     monkeypatch.setattr(arrays, "MOST_UNPACKED_BYTES", 1 << 20)
     save_observations(tmp_path / "bomb.npz", Observations(MARKS))
     header = io.BytesIO()
@@ -218,9 +217,6 @@ def test_an_npz_that_unpacks_to_more_than_the_bound(tmp_path, monkeypatch):
     with zipfile.ZipFile(tmp_path / "bomb.npz", "a", zipfile.ZIP_DEFLATED) as archive:
         archive.writestr("sigma_mm.npy", header.getvalue() + bytes(1 << 24))
     check_refused("unpacks to", load_observations, tmp_path / "bomb.npz")
-
-
-def test_a_table_that_unpacks_to_more_than_the_bound(tmp_path, monkeypatch):
     save_observations(tmp_path / "small.parquet", Observations(MARKS))
     monkeypatch.setattr(arrays, "MOST_UNPACKED_BYTES", 1000)
     check_refused("unpacks to", load_observations, tmp_path / "small.parquet")

@@ -29,7 +29,7 @@ def test_csv_holds_the_same(tmp_path):
     assert path.rotation(0, 3) == pytest.approx([2 * np.pi] * 3)
 
 
-def test_a_rotation_alone_turns_the_frame_it_finds(tmp_path):
+def test_a_rotation_alone_turns_the_frame_it_finds_and_beside_frames_determines_half_a_turn(tmp_path):
     file = tmp_path / "motion.csv"
     file.write_text("end_rotation_deg\n0\n840\n", encoding="utf-8")
     path = load_path(file)
@@ -37,6 +37,9 @@ def test_a_rotation_alone_turns_the_frame_it_finds(tmp_path):
     frame = path.at(1, held()).end_frame[0]
     np.testing.assert_allclose(frame[:, 1], [0, np.cos(np.radians(120)), np.sin(np.radians(120))], atol=1e-12)
     assert np.degrees(path.rotation(0, 1)) == pytest.approx([840])
+    frames = np.stack([np.eye(3), np.diag([1.0, -1, -1])])[:, None]
+    path = ClampPath(np.arange(2.0), end_frame=frames, end_rotation=np.array([[0.0], [-np.pi]]))
+    assert path.rotation(0, 1) == pytest.approx([-np.pi])
 
 
 def test_marks_give_positions_and_tangents(tmp_path):
@@ -54,10 +57,8 @@ def test_marks_give_positions_and_tangents(tmp_path):
 
 
 @pytest.mark.parametrize("keys, word", [
-    ({"time_s": [0.0, 0.0], "end_rotation_deg": [0.0, 1.0]}, "rising"),
-    ({"end_rotation_deg": [0.0]}, "two or more"),
-    ({"time_s": [0.0, 1.0]}, "nothing moves"),
-    ({"end_position_mm": np.zeros((3, 2))}, "shape"),
+    ({"time_s": [0.0, 0.0], "end_rotation_deg": [0.0, 1.0]}, "rising"), ({"end_rotation_deg": [0.0]}, "two or more"),
+    ({"time_s": [0.0, 1.0]}, "nothing moves"), ({"end_position_mm": np.zeros((3, 2))}, "shape"),
     ({"end_position_mm": np.zeros((3, 3)), "time_s": np.arange(2.0)}, "shape"),
     ({"end_position_mm": np.array([[0.0, 0, np.nan], [0, 0, 0]])}, "finite"),
     ({"end_frame": np.ones((2, 3, 3))}, "not a rotation"),
@@ -66,19 +67,12 @@ def test_marks_give_positions_and_tangents(tmp_path):
     ({"positions_mm": np.zeros((2, 2, 3))}, "positions_mm"),
     ({"positions_mm": np.arange(36.0).reshape(3, 4, 3), "time_s": np.arange(2.0)}, "time_s"),
     ({"positions_mm": 1e6 * np.arange(36.0).reshape(3, 4, 3)}, "start_position.* within 1e\\+06 mm"),
-    ({"end_rotation_deg": [0.0, 2.0**32]}, "end_rotation: .* rad"),
-    ({"else": np.zeros(3)}, "end_position_mm"),
+    ({"end_rotation_deg": [0.0, 2.0**32]}, "end_rotation: .* rad"), ({"else": np.zeros(3)}, "end_position_mm"),
     ({"end_position_mm": np.array(["a"])}, "numeric")])
 def test_wrong_files_are_named(tmp_path, keys, word):
     file = tmp_path / "motion.npz"
     np.savez(file, **keys)
     check_refused(f"motion.npz: .*{word}", load_path, file)
-
-
-def test_half_a_turn_is_determined_by_the_given_rotation():
-    frames = np.stack([np.eye(3), np.diag([1.0, -1, -1])])[:, None]
-    path = ClampPath(np.arange(2.0), end_frame=frames, end_rotation=np.array([[0.0], [-np.pi]]))
-    assert path.rotation(0, 1) == pytest.approx([-np.pi])
 
 
 TURNS = Rotation.from_euler("xyz", [[0.1, -0.4, 0.9], [0.3, -0.2, 1.0], [0.5, 0.1, 1.4]])

@@ -35,7 +35,7 @@ def same(first: Observations, second: Observations, tolerance: float = 0.0) -> b
         for a, b in [(getattr(first, name), getattr(second, name)) for name in KEYS])
 
 
-def test_every_key_is_read_in_our_units(tmp_path, rng):
+def test_every_key_is_read_in_our_units_and_taken_with_its_observation(tmp_path, rng):
     keys, path = full_keys(rng), tmp_path / "suture.npz"
     np.savez(path, **keys, unsteadiness=np.array(["unknown keys", "are ignored"]))
     observations = load_observations(path)
@@ -46,9 +46,14 @@ def test_every_key_is_read_in_our_units(tmp_path, rng):
     np.testing.assert_array_equal(observations.end_rotation, keys["end_rotation_deg"])
     np.testing.assert_array_equal(observations.vertices, keys["vertices_mm"])
     np.testing.assert_allclose(load_observations(path, up=(2, 0, 0)).up, [1, 0, 0])
+    taken = observations.take(np.array([2, 0, 0]))
+    np.testing.assert_array_equal(taken.vertices, observations.vertices[[2, 0, 0]])
+    np.testing.assert_array_equal(taken.sigma, observations.sigma[[2, 0, 0]])
+    np.testing.assert_array_equal(taken.rest_length, observations.rest_length)
+    np.testing.assert_array_equal(taken.end_distance, [54, 30, 30])
 
 
-def test_defaults(rng):
+def test_defaults_and_that_missing_marks_count_for_no_rest_length(rng):
     vertices = wavy_vertices(rng, count=5)
     vertices[2, 1] += 0.5
     observations = Observations(vertices)
@@ -57,9 +62,6 @@ def test_defaults(rng):
     np.testing.assert_array_equal(observations.up, [0, 0, 1])
     others = [name for name in KEYS if name not in ("vertices", "valid", "rest_length", "up", "labels", "spacing_error")]
     assert observations.labels.tolist() == [0, 1, 2, 3, 4] and all(getattr(observations, name) is None for name in others)
-
-
-def test_default_rest_length_leaves_missing_marks_out(rng):
     vertices = wavy_vertices(rng, count=3)
     expected, valid = np.linalg.norm(np.diff(vertices[1:], axis=1), axis=-1), np.ones((3, 9), dtype=bool)
     valid[0, 4] = False
@@ -80,17 +82,6 @@ def test_lengths_along_arcs():
         warnings.simplefilter("error")
         unseen = replace(stated, valid=np.repeat(np.arange(seen.edges + 1)[None] > 0, seen.count, axis=0)).along_arcs()
     np.testing.assert_array_equal(unseen.rest_length, 9.0)
-
-
-def test_take_keeps_what_belongs_to_an_observation(tmp_path, rng):
-    path = tmp_path / "x.npz"
-    np.savez(path, **full_keys(rng))
-    observations = load_observations(path)
-    taken = observations.take(np.array([2, 0, 0]))
-    np.testing.assert_array_equal(taken.vertices, observations.vertices[[2, 0, 0]])
-    np.testing.assert_array_equal(taken.sigma, observations.sigma[[2, 0, 0]])
-    np.testing.assert_array_equal(taken.rest_length, observations.rest_length)
-    np.testing.assert_array_equal(taken.end_distance, [54, 30, 30])
 
 
 @pytest.mark.parametrize("key, wrong, problem", [

@@ -7,19 +7,18 @@ import numpy as np
 import pytest
 
 from doo_ti import Clamp, Configuration, predict
-from doo_ti.commands.cli import main
 from doo_ti.dynamics.scene import load_motion_scene
 from doo_ti.groups.scene import load_group_scene
 from doo_ti.io.scene import Synthesis, load_scene
 from doo_ti.io.toml_file import NotNegative, Table, Vector, interpolated, scene_file
 from doo_ti.rod.material import STANDARD_GRAVITY
 from tests.conftest import check_refused
+from tests.processes import ROOT
 
-SCENES = Path(__file__).resolve().parents[2] / "scenes"
+SCENES = ROOT / "scenes"
 GOOD = {
     "top": 'name = "silk"\nframe_weight_mm = 6.7\nclamp_end = "tangent"\nprecision = "f64"\n',
-    "data": "[synthesis]\nbend = 1.5e5\ntwist = 50000\n",
-    "grid": '[grid]\nbend = "5e4:1e7:5"\ntwist_ratio = 0.5\n'}
+    "data": "[synthesis]\nbend = 1.5e5\ntwist = 50000\n", "grid": '[grid]\nbend = "5e4:1e7:5"\ntwist_ratio = 0.5\n'}
 
 
 def write(folder: Path, **parts: str) -> Path:
@@ -46,15 +45,12 @@ def test_seeds_of_shipped_scenes_differ():
     assert len(set(seeds)) == len(seeds)
 
 
-def test_a_scene_with_a_synthesis(tmp_path):
+def test_a_scene_with_a_synthesis_or_a_file(tmp_path):
     scene = load_scene(write(tmp_path))
     assert (scene.name, scene.frame_weight, scene.precision, scene.objective) == ("silk", 6.7, "f64", "static")
     assert (scene.clamp_start, scene.clamp_end) == (None, Clamp.TANGENT)
     assert scene.grid.shape == (5, 1, 1) and scene.observations.name == "silk" and len(scene.sha256) == 64
     assert scene.observations.twist == 50000.0 and scene.observations.marks == 34
-
-
-def test_a_scene_with_a_file(tmp_path):
     scene = load_scene(write(tmp_path, top="", data='[observations]\nfile = "data/silk.npz"\n'))
     assert scene.observations == tmp_path / "data" / "silk.npz" and scene.name == "scene" and scene.precision == "mixed"
 
@@ -114,12 +110,6 @@ def test_files_of_that_name_come_first_and_other_names_stay_as_they_are(name, tm
     monkeypatch.chdir(tmp_path)
     (tmp_path / "silk").touch()
     assert scene_file(name) == name
-
-
-@pytest.mark.thorough
-def test_a_command_takes_one_by_name(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    assert main(["synth", "vicryl", "--out", "vicryl.npz"]) == 0 and (tmp_path / "vicryl.npz").is_file()
 
 
 EI, GJ, DENSITY = 2e-5, 1.5e-5, 4.0

@@ -188,21 +188,21 @@ def test_rods_at_moments(tmp_path, rng):
 
 
 def test_cells_are_read_as_written(tmp_path):
-    """Spaces, quotes, blank lines and a byte order mark are no part of the cells; lines count as in an editor."""
+    """Spaces, quotes, blank lines, a byte order mark and lines at the top that begin with a number sign are no part of the
+    cells; lines count as in an editor."""
     path = tmp_path / "x.csv"
     path.write_bytes('\ufeffname, x \r\n"a, b",1\r\n\r\n,\r\n c ,2e3\r\n'.encode())
     table = read_csv(path, ("name", "x"))
     assert table.columns["name"] == ["a, b", "c"] and table.lines == [2, 5]
     np.testing.assert_array_equal(table.numbers("x"), [1, 2000])
     np.testing.assert_array_equal(table.whole("x"), [1, 2000])
+    table = read_csv(path, ("a", "b"), content=b"# written by some tool, in mm\n#\na,b\n1,2\n")
+    assert table.numbers("b").tolist() == [2.0] and table.lines == [4]
 
 
-def test_missing_numbers_and_truth(tmp_path):
+def test_missing_numbers_truth_and_short_lines_where_they_are_allowed(tmp_path):
     table = read_csv(tmp_path / "x.csv", ("x",), content=b"x\n1.5\nNA\ntrue\nFalse\nNaN\n")
     np.testing.assert_array_equal(table.numbers("x", may_be_empty=True), [1.5, np.nan, 1, 0, np.nan])
-
-
-def test_short_lines_where_they_are_allowed(tmp_path):
     assert read_csv(tmp_path / "x.csv", ("a",), short_lines=True, content=b"a,b\n1\n").columns == {"a": ["1"], "b": [""]}
 
 
@@ -239,11 +239,6 @@ def test_a_cell_that_is_no_number_is_named_with_its_line(tmp_path, cell):
     table = read_csv(tmp_path / "x.csv", ("a",), content=f'a\n1\n\n"{cell}"\n'.encode() if cell else b"a,b\n1,\n\n,2\n")
     check_refused(f": a: {cell!r}.* line 4", table.numbers, "a")
     check_refused("'1.5' in line 3", read_csv(tmp_path / "x.csv", ("a",), content=b"a\n1\n1.5\n").whole, "a")
-
-
-def test_lines_that_begin_with_a_number_sign_are_left_out_at_the_top(tmp_path):
-    table = read_csv(tmp_path / "x.csv", ("a", "b"), content=b"# written by some tool, in mm\n#\na,b\n1,2\n")
-    assert table.numbers("b").tolist() == [2.0] and table.lines == [4]
 
 
 def test_lengths_with_decimal_commas_are_not_taken_for_two(tmp_path):

@@ -216,11 +216,6 @@ def short_rounds():
 
 
 @pytest.fixture(scope="module")
-def reference():
-    return workload.Reference(1)
-
-
-@pytest.fixture(scope="module")
 def specimens():
     return Specimens(RODS)
 
@@ -243,9 +238,9 @@ def test_trips_are_counted_by_launch(monkeypatch, specimens):
         assert timed.trips(specimens.many.relaxed(timed.COARSE, precision), precision) == count
 
 
-def test_busy_lanes(reference):
-    found = measure(Case("made up", "rods/s", lambda: Outcome(3.0, iterations=np.array([20, 40, 90]), trips=200)), reference, 1)
-    assert found.busy == 150 / 200
+def test_busy_lanes():
+    case = Case("made up", "rods/s", lambda: Outcome(3.0, iterations=np.array([20, 40, 90]), trips=200))
+    assert measure(case, workload.Reference(1), 1).busy == 150 / 200
 
 
 @pytest.mark.parametrize("name", workload.LAB)

@@ -196,10 +196,13 @@ def fooled(name: str = "nylon"):
     return landscape
 
 
-def test_a_cell_with_a_rod_that_stalled_does_not_win():
+def test_a_cell_with_a_rod_that_stalled_does_not_win_and_is_marked_in_the_picture():
     landscape = fooled()
     assert landscape.best == 1 and np.flatnonzero(np.isnan(landscape.mean_distance)).tolist() == [3]
     assert landscape.competition == {"cells_competing": 4, "cells_not_competing": 1, "terms_left_out": 0}
+    plane = plane_of(landscape)
+    assert plane.minimum == (1, 0) and plane.unfinished.ravel().tolist() == [0, 0, 0, 1, 0]
+    assert np.isnan(plane.values[3, 0]) and not plane.valley[3, 0]
     interval, = landscape.intervals
     assert interval.best == landscape.grid.axes[0].values[1] and not interval.high_is_open
     # Nor does one with a saddle.
@@ -225,12 +228,6 @@ def test_a_training_set_does_not_choose_it_nor_does_an_entry_win_a_column_by_rod
     scores = cross_validate(partition([fooled(), static("silk", fooled().distance)], ("material",))[0])
     assert scores.best.tolist() == [1, 3] and (scores.mean[1] < scores.mean[0]).all()
     assert replace(scores, uncertified=np.array([[0, 0], [1, 0]])).is_best.tolist() == [[True, False], [False, True]]
-
-
-def test_the_picture_marks_cells_that_do_not_compete():
-    plane = plane_of(fooled())
-    assert plane.minimum == (1, 0) and plane.unfinished.ravel().tolist() == [0, 0, 0, 1, 0]
-    assert np.isnan(plane.values[3, 0]) and not plane.valley[3, 0]
 
 
 def test_hypotheses_are_not_resolved_by_such_a_cell():

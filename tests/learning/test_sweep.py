@@ -18,10 +18,9 @@ from tests.conftest import check_refused
 from tests.learning.lab import DYNAMIC, GRID, interrupted, small_lab
 
 COLUMNS = {
-    "bend_1": "double", "bend_2": "double", "twist": "double", "weight": "double", "observation": "int32",
-    "turns": "int32", "end_distance_mm": "double", "end_rotation_deg": "double", "distance_mm": "double",
-    "energy": "double", "residual": "double", "iterations": "int32", "status": "int8", "stable": "bool",
-    "precision": "int8"}
+    "bend_1": "double", "bend_2": "double", "twist": "double", "weight": "double", "observation": "int32", "turns": "int32",
+    "end_distance_mm": "double", "end_rotation_deg": "double", "distance_mm": "double", "energy": "double",
+    "residual": "double", "iterations": "int32", "status": "int8", "stable": "bool", "precision": "int8"}
 
 
 @pytest.fixture(scope="module")
@@ -97,10 +96,13 @@ def test_chunks_and_workers_change_nothing(tmp_path, observations, monkeypatch, 
     assert (tmp_path / "one" / "landscape.png").read_bytes() == (tmp_path / "workers" / "landscape.png").read_bytes()
 
 
-def test_too_large_a_grid_is_reported_before_it_starts(tmp_path, observations):
+def test_too_large_a_grid_is_reported_before_it_starts_and_a_folder_that_is_no_run(tmp_path, observations):
     wide = Grid((Axis("bend", np.geomspace(1e5, 1e7, 30_000)), Axis("twist_ratio", np.geomspace(0.1, 6, 30_000))))
     check_refused("900,000,000 cells", sweep, tmp_path / "run", observations, wide)
     assert not (tmp_path / "run").exists()
+    check_refused("summary.json: file", read_experiment, tmp_path)
+    (tmp_path / "summary.json").write_text(json.dumps({"grid": GRID.as_dict()}))
+    check_refused("summary.json", read_experiment, tmp_path)
 
 
 def test_rows_are_what_eq_3_says(tmp_path):
@@ -163,12 +165,6 @@ def test_a_folder_is_enough_to_relax_its_cells_again(tmp_path, options, hint):
     stored, terms = cells(tmp_path / "run"), experiment.terms
     assert_same_rows(columns, {name: column[2 * terms : 5 * terms] for name, column in stored.items()})
     np.testing.assert_array_equal(distance(rods, experiment.observations, columns["observation"]), columns["distance_mm"])
-
-
-def test_a_folder_that_is_none(tmp_path):
-    check_refused("summary.json: file", read_experiment, tmp_path)
-    (tmp_path / "summary.json").write_text(json.dumps({"grid": GRID.as_dict()}))
-    check_refused("summary.json", read_experiment, tmp_path)
 
 
 @pytest.mark.thorough

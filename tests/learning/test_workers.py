@@ -146,15 +146,12 @@ def test_work_finished_before_a_failure_is_returned_and_the_rest_is_not_begun():
     assert found[:3] == [0, 1, 2] and 3 not in found and len(found) > 3 and len(asked) < 10
 
 
-def test_a_worker_that_runs_something_else_is_refused():
+def test_a_worker_that_runs_something_else_and_none_at_all_are_refused():
     assert as_made(maker(), max, 3, 4) == 4
     with pytest.raises(InputError, match="99.0") as caught:
         as_made(maker() | {"doo_ti": "99.0"}, max, 3, 4)
     again = pickle.loads(pickle.dumps(caught.value))  # as it comes from another process
     assert (str(again), again.remedy) == (str(caught.value), caught.value.remedy)
-
-
-def test_no_workers_are_refused():
     with pytest.raises(InputError, match="workers: 0 is below 1"), started_workers(0, None):
         pass
 

@@ -83,7 +83,7 @@ def test_lab_rods_that_do_not_come_back_have_jumped(laboratory, name):
     assert (vertex_distance(begin, back.configuration)[first + second == 0] < 1e-4).all()
 
 
-def test_a_way_is_the_same_in_any_company():
+def test_a_way_is_the_same_in_any_company_and_there_may_be_none():
     """How many sub-steps a rod takes is its own matter: short ways are not cut finer beside long ones."""
     cases, at_rest, together = shifted_strips()
     together.motion.end_shift[:] *= np.linspace(0.1, 1.0, len(cases))[:, None]
@@ -96,6 +96,8 @@ def test_a_way_is_the_same_in_any_company():
         own, counted = replace(together, motion=together.motion.take(row)).end(at_rest.take(row))
         np.testing.assert_array_equal(own.configuration.quaternions, end.configuration.quaternions[row])
         np.testing.assert_array_equal(counted, jumps[row])
+    end, jumps = replace(together, motion=together.motion.take([])).end(at_rest.take([]))
+    assert len(end.status) == len(jumps) == 0
 
 
 @pytest.mark.sampled(1)
@@ -124,13 +126,6 @@ def test_a_rod_of_two_edges_goes_its_way():
         end, jumps = Journey(Motion(clamps, end_shift=shift), STRIP, np.radians(5), start.rest_length).end(at_rest)
     assert end.converged.all() and jumps.tolist() == [0]
     np.testing.assert_allclose(end.configuration.vertices[:, -1], clamps.end_position + shift, atol=1e-9)
-
-
-def test_a_journey_without_rods():
-    _, at_rest, way = shifted_strips()
-    none = np.arange(0)
-    end, jumps = replace(way, motion=way.motion.take(none)).end(at_rest.take(none))
-    assert len(end.status) == len(jumps) == 0
 
 
 LENGTH, EDGES, SHORTENING = 100.0, 64, 0.01

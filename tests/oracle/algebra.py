@@ -34,9 +34,7 @@ class HyperDual:
     def __mul__(self, other):
         o = _lift(other)
         return HyperDual(
-            self.value * o.value,
-            self.value * o.first + self.first * o.value,
-            self.value * o.second + self.second * o.value,
+            self.value * o.value, self.value * o.first + self.first * o.value, self.value * o.second + self.second * o.value,
             self.value * o.mixed + self.first * o.second + self.second * o.first + self.mixed * o.value)
 
     def __sub__(self, other):

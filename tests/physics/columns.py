@@ -22,7 +22,6 @@ def every_number(test):
 def columns_kernel(number: Number, inputs: int, outputs: int, function):
     """A NumPy function that applies ``function``, from a tuple of ``inputs`` numbers to one of ``outputs``, to its rows."""
     runtime.start()
-    runtime.start()
 
     @ti.func
     def alone(scratch: ti.template(), numbers: ti.template(), values: ti.template()):

@@ -50,8 +50,7 @@ def joints(rng, where: str) -> tuple[np.ndarray, np.ndarray]:
     bend, twist = {
         "lab": (rng.uniform(0, 0.3, ROWS), rng.uniform(-0.3, 0.3, ROWS)),
         "1.5 to 3 rad": (rng.uniform(1.5, 3.0, ROWS), rng.uniform(-2, 2, ROWS)),
-        "twist next to ±π": (rng.uniform(0, 1, ROWS), half_turn),
-    }[where]
+        "twist next to ±π": (rng.uniform(0, 1, ROWS), half_turn)}[where]
     azimuth = rng.uniform(-np.pi, np.pi, ROWS)
     across = np.stack([0 * azimuth, np.cos(azimuth), np.sin(azimuth)], axis=1)
     first = Rotation.random(ROWS, random_state=rng)

@@ -111,8 +111,7 @@ def test_curves_are_statistics_over_the_rods(tmp_path, rng):
     static, moving = written(tmp_path, run)
     expected = {
         "energy/mean": held[1:].mean(axis=1), "energy/median": np.median(held[1:], axis=1),
-        "residual/median": np.log10(np.median(rods.residual[1:], axis=1)),
-        "residual/largest": np.log10(rods.residual[1:, 2])}
+        "residual/median": np.log10(np.median(rods.residual[1:], axis=1)), "residual/largest": np.log10(rods.residual[1:, 2])}
     for entity, values in expected.items():
         curve = moving[f"/curves/{entity}"]["iteration"]
         assert curve["iteration"] == list(range(1, runs.ITERATIONS))
@@ -144,13 +143,10 @@ def test_landscape_picture_surface_and_cells(swept):
     assert static["/landscape/surface/minimum"]["Points3D:labels"] == [["0.5 mm"]]
 
 
-def test_relaxation_has_no_landscape(tmp_path, rng):
+def test_a_relaxation_has_no_landscape_and_one_free_axis_cells_on_a_line_and_no_surface(tmp_path, rng):
     run = runs.relaxation(rng)
     static, moving = written(tmp_path, run | {"observed": Observed(run["observed"].vertices), "properties": {}})
     assert set(static) | set(moving) == ROOT | {"/__properties"} and set(moving["/world/rods"]) == {"iteration"}
-
-
-def test_one_free_axis_gives_cells_on_a_line_and_no_surface(tmp_path, rng):
     run, cells = runs.sweep(rng), runs.Grid((runs.Axis("bend", np.geomspace(1e5, 1e7, runs.BENDS)),))
     run |= {"plane": LandscapePlane.of(cells.picture_axes, run["plane"].grid[:, 1:2], (2, 0, 0)), "intervals": ()}
     static, moving = written(tmp_path, run)
@@ -283,9 +279,7 @@ def test_a_sweep_leaves_its_recording_out_and_says_so(tmp_path):
 @pytest.mark.parametrize("words", [
     ("simulate", "pendulum", "--out", "a.npz", "--recording", "a.rrd"),
     ("predict", "three_materials", "--out", "a.npz", "--recording", "a.rrd"),
-    ("group", "reef_knot", "--out", "a.npz", "--recording", "a.rrd"),
-    ("view", "run"),
-    ("figures", "run", "--out", "pictures")])
+    ("group", "reef_knot", "--out", "a.npz", "--recording", "a.rrd"), ("view", "run"), ("figures", "run", "--out", "pictures")])
 def test_a_recording_that_is_asked_for_is_refused_in_a_line(tmp_path, words):
     (tmp_path / "run").mkdir()
     done = without_rerun(tmp_path, *words)

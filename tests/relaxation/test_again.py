@@ -101,14 +101,11 @@ def test_referenced_results_are_never_overwritten(rng):
         np.testing.assert_array_equal(array, copy)
 
 
-def test_too_many_rods_for_one_call_are_refused(rng, monkeypatch):
+def test_tables_that_cannot_be_counted_are_refused(rng, monkeypatch):
+    """All that kernels are given: of frames, for too many rods in one call, and of the forces of contacts."""
     monkeypatch.setattr(tables, "MOST_NUMBERS", 12 * 4 * 10)
     relaxed(rng, 10, 1e5)
     check_refused(" 10 ", relaxed, rng, 11, 1e5)
-
-
-def test_tables_of_contacts_that_cannot_be_counted_are_refused(monkeypatch):
-    """All tables that kernels are given, not only those of frames: here those of the forces of contacts."""
     rods = straight_rod(60.0, 10).take([0] * 4)
     clamps = clamps_at(rods, Clamp.FRAME, Clamp.FREE)
     monkeypatch.setattr(tables, "MOST_NUMBERS", 4 * 10 * 4)

@@ -119,14 +119,11 @@ def test_a_tangent_of_another_length_is_refused(rng, end, kind, tangent):
     clamp_table(rods, lengths, np.full((5, 2), POSITION), held)
 
 
-def test_a_tangent_within_tolerance_is_made_a_unit_vector(rng):
+def test_a_tangent_within_tolerance_is_made_a_unit_vector_and_frames_that_are_not_finite_are_data(rng):
     rods, lengths, _, clamps = drawn(rng, 5, 7, True)
     longer = replace(clamps, start_frame=1.0004 * clamps.start_frame)
     (one, _), (other, _) = (clamp_table(rods, lengths, np.full((5, 2), TANGENT), held) for held in (clamps, longer))
     np.testing.assert_allclose(one, other, atol=1e-14)
-
-
-def test_frames_that_are_not_finite_are_data(rng):
     rods, lengths, _, clamps = drawn(rng, 2000, 7, True)
     _, found = clamp_table(rods, lengths, np.full((2000, 2), FRAME), replace(clamps, end_frame=clamps.end_frame * np.nan))
     assert (found == INFEASIBLE).all()

@@ -32,16 +32,6 @@ POSES = ("start_shift", "start_turn", "end_shift", "end_turn")
 STEPS = {"bend_1": 20.0, "bend_12": 20.0, "twist": 15.0, "weight": 1e-4, "rest_curvature": 1e-6, "up": 1e-4, "length": 1e-6}
 
 
-@every_case
-def test_a_far_clamp_that_bears_the_rod_alone_bears_its_weight(rng, case):
-    solution, _ = held_rods(rng, case)
-    hangs = solution.converged & [pair[0] == Clamp.FREE != pair[1] for pair in PAIRS]
-    weight = 2.0 * (0.8 if case == "round" else 1.2) * solution.configuration.rest_length[0].sum() * UP
-    loads = solution.tables.external.whole_force[hangs].sum(axis=1) if case == "loaded" else 0.0
-    assert hangs.any()
-    np.testing.assert_allclose(solution.end_force[hangs], np.broadcast_to(weight - loads, (hangs.sum(), 3)), rtol=1e-6)
-
-
 @pytest.mark.sampled(1)
 @every_case
 def test_derivatives_are_the_differences(rng, case):

@@ -68,8 +68,7 @@ def test_whole_turns_of_twist(shape, turns, precision):
 @pytest.mark.sampled(4)
 @every_precision
 @pytest.mark.parametrize(("edges", "kinds"), [
-    (2, (3, 0)), (2, (0, 2)), (2, (1, 1)), (3, (3, 0)), (3, (1, 3)), (3, (2, 1)), (3, (1, 1)), (4, (3, 3)),
-    (4, (2, 2))])
+    (2, (3, 0)), (2, (0, 2)), (2, (1, 1)), (3, (3, 0)), (3, (1, 3)), (3, (2, 1)), (3, (1, 1)), (4, (3, 3)), (4, (2, 2))])
 def test_few_edges(edges, kinds, precision):
     """As few as there can be: an arc in the vertical plane, against the dense solver."""
     angle = 0.5 * (np.arange(edges) - 0.5 * (edges - 1))

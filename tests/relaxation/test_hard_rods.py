@@ -87,19 +87,11 @@ def curved_at_rest(rng, count: int) -> Rods:
 
 
 ROWS = {
-    "ends 98.95 of 99 mm apart": nearly_taut,
-    "collinear clamps": partial(collinear, weight=1.0),
-    "collinear clamps, no weight": partial(collinear, weight=0.0),
-    "joints of 1.5 rad": sharp_joints,
-    "99 edges": partial(held, rest_length=np.full(99, 1.0)),
-    "512 edges": partial(held, rest_length=np.full(512, LENGTH / 512)),
-    "anisotropy 100:1": anisotropic,
-    "rest lengths 1:50": uneven,
-    "rest curvature": curved_at_rest,
-    "free end": partial(held, end=Clamp.FREE),
-    "positions only": partial(held, start=Clamp.POSITION, end=Clamp.POSITION)}
-
-
+    "ends 98.95 of 99 mm apart": nearly_taut, "collinear clamps": partial(collinear, weight=1.0),
+    "collinear clamps, no weight": partial(collinear, weight=0.0), "joints of 1.5 rad": sharp_joints,
+    "99 edges": partial(held, rest_length=np.full(99, 1.0)), "512 edges": partial(held, rest_length=np.full(512, LENGTH / 512)),
+    "anisotropy 100:1": anisotropic, "rest lengths 1:50": uneven, "rest curvature": curved_at_rest,
+    "free end": partial(held, end=Clamp.FREE), "positions only": partial(held, start=Clamp.POSITION, end=Clamp.POSITION)}
 every_row = pytest.mark.parametrize("row", ROWS)
 
 

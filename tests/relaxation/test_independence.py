@@ -1,9 +1,6 @@
 """A rod's result is the same to the last bit alone, shuffled, among rods of other kinds, and with any layout of threads."""
 
 import hashlib
-import subprocess
-import sys
-from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -13,6 +10,7 @@ from doo_ti import Clamp, Clamps, Configuration, Descent, Itself, Material, Newt
 from doo_ti.physics.number import Number
 from doo_ti.relaxation import batch
 from doo_ti.system import runtime
+from tests.processes import python
 from tests.references.rods import clamps_at
 from tests.relaxation.rods import PAIRS, RESULTS, assert_same, wandering, with_kinds
 
@@ -98,8 +96,7 @@ def digest() -> str:
 def test_one_thread_and_all_threads():
     script = ("from doo_ti.system import runtime; runtime.start(threads=1); "
               "from tests.relaxation.test_independence import digest; assert runtime.thread_count() == 1; print(digest())")
-    alone = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True,
-                           cwd=Path(__file__).resolve().parents[2])
+    alone = python("-c", script)
     assert alone.returncode == 0, alone.stderr
     runtime.start()
     assert alone.stdout.split()[-1] == digest()

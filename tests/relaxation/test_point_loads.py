@@ -104,14 +104,13 @@ def test_wrong_input_is_reported_in_one_sentence():
     material, physical = Material(1e5, 1e5), Material.from_physical([1e-4, 2e-4], 1e-4, 0.2)
     loose = replace(HELD, start=Clamp.FREE)
     for call, said in (
-        (lambda: PointLoads(np.zeros((21, 3))), "PointLoads: force"),
-        (lambda: PointLoads(NONE, np.zeros(21)), "PointLoads: mass"),
-        (lambda: PointLoads(NONE, -1.0), "PointLoads: mass"),
-        (lambda: PointLoads(np.full((1, 21, 3), np.nan)), "PointLoads: force"),
-        (lambda: PointLoads(NONE, springs=Springs(np.zeros((1, 9, 3)), np.zeros((1, 9)))), "PointLoads: springs"),
-        (lambda: PointLoads.from_physical(NONE, material), "PointLoads: material"),
-        (lambda: PointLoads.from_physical(NONE, physical), "PointLoads: force"),
-        (lambda: relax(ROD, material, HELD, external=PointLoads(np.zeros((1, 9, 3)))), "external: points"),
-        (lambda: relax(ROD, replace(material, weight=0.0), loose, external=PointLoads(NONE)), "clamps: start, end"),
-        (lambda: relax(ROD, material, HELD, Descent(), external=PointLoads(NONE)), "relax: solver")):
+            (lambda: PointLoads(np.zeros((21, 3))), "PointLoads: force"),
+            (lambda: PointLoads(NONE, np.zeros(21)), "PointLoads: mass"), (lambda: PointLoads(NONE, -1.0), "PointLoads: mass"),
+            (lambda: PointLoads(np.full((1, 21, 3), np.nan)), "PointLoads: force"),
+            (lambda: PointLoads(NONE, springs=Springs(np.zeros((1, 9, 3)), np.zeros((1, 9)))), "PointLoads: springs"),
+            (lambda: PointLoads.from_physical(NONE, material), "PointLoads: material"),
+            (lambda: PointLoads.from_physical(NONE, physical), "PointLoads: force"),
+            (lambda: relax(ROD, material, HELD, external=PointLoads(np.zeros((1, 9, 3)))), "external: points"),
+            (lambda: relax(ROD, replace(material, weight=0.0), loose, external=PointLoads(NONE)), "clamps: start, end"),
+            (lambda: relax(ROD, material, HELD, Descent(), external=PointLoads(NONE)), "relax: solver")):
         check_refused(f"^{said}: ", call)

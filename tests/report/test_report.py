@@ -100,15 +100,12 @@ def test_more_than_two_free_axes_show_the_minimum_over_the_others(rng):
     assert plane.unfinished[2, 1] == unfinished[0, 2, 1][np.unravel_index(np.argmin(values[0, 2, 1]), (5, 2))]
 
 
-def test_valley_is_within_five_percent_and_leaves_nan_out():
+def test_valley_is_within_five_percent_leaves_nan_out_and_is_open_where_the_minimum_is_at_the_border():
     values = np.array([[1.0, 1.05, 1.0501], [np.nan, 2.0, 1.02]])
     np.testing.assert_array_equal(valley_cells(values, (0, 0)), [[True, True, False], [False, False, True]])
     assert not valley_cells(values, None).any()
-
-
-@pytest.mark.parametrize(("values", "minimum", "at_border"), [([3, 1, 2], 1, False), ([1, 2, 3], 0, True)])
-def test_minimum_at_the_border_is_reported(values, minimum, at_border):
-    assert LandscapePlane.of([("bend", [1, 2, 4], True, "mm³")], values, (minimum,)).at_border == at_border
+    for line, minimum, at_border in (([3, 1, 2], 1, False), ([1, 2, 3], 0, True)):
+        assert LandscapePlane.of([("bend", [1, 2, 4], True, "mm³")], line, (minimum,)).at_border == at_border
 
 
 def test_cells_meet_halfway():

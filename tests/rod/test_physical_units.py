@@ -31,6 +31,8 @@ def test_there_and_back():
     material = Material.from_physical([EI, 2 * EI], GJ, weight_per_length(DENSITY))
     np.testing.assert_allclose(stiffness(material.bend[:, 0, 0, 0] / 2, DENSITY), [EI, 2 * EI])
     np.testing.assert_allclose(stiffness(material.twist[0, 0] / 2, DENSITY), GJ)
+    rows = Material.from_physical([1e-6, 2e-6], 1e-6, [1e-2, 3e-2])
+    np.testing.assert_array_equal(rows.take([1]).weight_per_length, [3e-2])
 
 
 def options(**given):
@@ -48,24 +50,15 @@ def test_ranges_in_newton_square_metres_are_axes_of_bend_and_twist():
 
 
 @pytest.mark.parametrize(("given", "field"), [
-    (dict(weight=np.ones((1, 33))), "weight"),
-    (dict(weight_per_length=np.ones((2, 2))), "weight_per_length"),
-    (dict(weight_per_length=-1.0), "weight_per_length"),
-    (dict(weight=0.0, weight_per_length=1.0), "weight_per_length")])
+    (dict(weight=np.ones((1, 33))), "weight"), (dict(weight_per_length=np.ones((2, 2))), "weight_per_length"),
+    (dict(weight_per_length=-1.0), "weight_per_length"), (dict(weight=0.0, weight_per_length=1.0), "weight_per_length")])
 def test_a_weight_is_one_number_per_rod(given, field):
     check_refused(f"material: {field}: ", Material, 1e5, 1e5, **given)
 
 
-def test_rows_of_materials_keep_their_weight_per_length():
-    material = Material.from_physical([1e-6, 2e-6], 1e-6, [1e-2, 3e-2])
-    np.testing.assert_array_equal(material.take([1]).weight_per_length, [3e-2])
-
-
 @pytest.mark.parametrize(("given", "field"), [
-    (dict(EI="1e-6", GJ="1e-6"), "--linear-density"),
-    (dict(EI="1e-6", bend="1e5", linear_density="1"), "--EI"),
-    (dict(EI="1e-6", GJ="x", linear_density="1"), "--GJ"),
-    (dict(EI="1e-6", GJ="1e-6", weight="2", linear_density="1"), "--EI"),
+    (dict(EI="1e-6", GJ="1e-6"), "--linear-density"), (dict(EI="1e-6", bend="1e5", linear_density="1"), "--EI"),
+    (dict(EI="1e-6", GJ="x", linear_density="1"), "--GJ"), (dict(EI="1e-6", GJ="1e-6", weight="2", linear_density="1"), "--EI"),
     (dict(EI="1e-6", GJ="1e-6", linear_density="0"), "--linear-density")])
 def test_wrong_units_are_one_line(given, field):
     check_refused(field, lambda: grid(options(**given)))
@@ -110,8 +103,7 @@ def test_usual_numbers_raise_no_doubt():
     (lambda: Material.from_physical([1e-3, 1e-3], [1e-3, -2e-3], 0.5), "GJ", "-0.002 N m²"),
     (lambda: Material.from_physical(1e-3, 1e-3, -0.5), "weight_per_length", "-0.5 N/m"),
     pytest.param(lambda: Material.from_physical(EI, GJ, 0.0), "weight_per_length", "", id="a rod without weight"),
-    (lambda: Material.diagonal(1e5, -1.0, 1e5), "bend_2", "-1 mm³"),
-    (lambda: Material(-5.0, 1e5), "bend", "-5 "),
+    (lambda: Material.diagonal(1e5, -1.0, 1e5), "bend_2", "-1 mm³"), (lambda: Material(-5.0, 1e5), "bend", "-5 "),
     (lambda: relax(ROPE, MATERIAL, CLAMPS, up="y"), "up", "'y'"),
     (lambda: predict_step(ROPE, MATERIAL, CLAMPS, CLAMPS, sub_step=5), "sub_step", "5 rad")])
 def test_what_was_given_is_named(call, field, value):

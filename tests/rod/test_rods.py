@@ -37,12 +37,11 @@ def test_ropes_of_several_lengths_are_each_as_its_own():
 
 
 def test_wrong_arguments_are_named():
-    for call, name in ((lambda: straight_rod(0, 10), "length"), (lambda: straight_rod(10, 1), "edges"),
-                       (lambda: straight_rod(10, 5, direction=(0, 0, 0)), "direction"),
-                       (lambda: straight_rod([10, 20], 5), "length"),
-                       (lambda: hanging([10, -1], 5, (0, 0, 0), (1, 0, 0)), "-1"),
-                       (lambda: hanging([10, 20], 5, np.zeros((3, 3)), (1, 0, 0)), "2, 3 rows"),
-                       (lambda: hanging(10, 5, (0, 0), (1, 0, 0)), "start"),
-                       (lambda: hanging(10, 5, (0, 0, 0), (np.nan, 0, 0)), "end"),
-                       (lambda: hanging(10, 5, (0, 0, 0), (1, 0, 0), up=(0, 0, 0)), "up")):
+    for call, name in (
+            (lambda: straight_rod(0, 10), "length"), (lambda: straight_rod(10, 1), "edges"),
+            (lambda: straight_rod(10, 5, direction=(0, 0, 0)), "direction"), (lambda: straight_rod([10, 20], 5), "length"),
+            (lambda: hanging([10, -1], 5, (0, 0, 0), (1, 0, 0)), "-1"),
+            (lambda: hanging([10, 20], 5, np.zeros((3, 3)), (1, 0, 0)), "2, 3 rows"),
+            (lambda: hanging(10, 5, (0, 0), (1, 0, 0)), "start"), (lambda: hanging(10, 5, (0, 0, 0), (np.nan, 0, 0)), "end"),
+            (lambda: hanging(10, 5, (0, 0, 0), (1, 0, 0), up=(0, 0, 0)), "up")):
         check_refused(name, call)

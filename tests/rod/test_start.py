@@ -162,15 +162,13 @@ def test_infeasible_spans_are_named_with_their_excess():
     np.testing.assert_allclose(span_excess(held, turned.rest_length), [0.0], atol=1e-12)
 
 
-def test_the_best_hypothesis_of_each_observation():
+def test_the_best_hypothesis_of_each_observation_is_chosen():
     index = np.array([0, 0, 0, 1, 1, 1, 2])
     score = np.array([3.0, 1, 2, np.nan, 5, 5, np.nan])
     np.testing.assert_array_equal(choose_hypothesis(index, score, np.ones(7, dtype=bool)), [1, 4, 6])
     # A rod that did not converge is chosen only if none converged.
     np.testing.assert_array_equal(choose_hypothesis(index, score, np.array([1, 0, 1, 0, 0, 1, 0], dtype=bool)), [2, 5, 6])
-
-
-def test_a_rod_twisted_by_a_turn_more_must_be_twice_as_near():
+    # A rod twisted by a turn more must be twice as near.
     index, twist = np.repeat([0, 1], 3), np.tile([-2 * np.pi, 0, 2 * np.pi], 2)
     score = np.array([0.99, 1.0, 1.1, 1.0, 1.0, 0.49])
     np.testing.assert_array_equal(choose_hypothesis(index, score, np.ones(6, dtype=bool), twist), [1, 5])

@@ -71,10 +71,8 @@ def test_objects_are_printed_in_one_line(rng):
     assert [repr(thing) for thing in (material, Material(2e5, [[1e5, 3e5]]), rods, clamps_at(rods), solution, seen, loads)] == [
         "Material(3 materials: bend 2e+05 to 6e+05 mm³, twist 2e+05 mm³, weight 1, 0.01 N/m)",
         "Material(1 material: bend 2e+05 mm³, twist 1e+05 to 3e+05 mm³ along the rod, weight 1)",
-        "Configuration(3 rods of 12 edges, 36 mm long)",
-        "Clamps(3 rods: start frame, end frame)",
-        "Solution(3 rods of 12 edges: 3 converged; 3 certified stable)",
-        "Observations(rope: 3 rods of 13 marks, 36 mm long)",
+        "Configuration(3 rods of 12 edges, 36 mm long)", "Clamps(3 rods: start frame, end frame)",
+        "Solution(3 rods of 12 edges: 3 converged; 3 certified stable)", "Observations(rope: 3 rods of 13 marks, 36 mm long)",
         "EndLoads(start_force (3, 3), start_moment (3, 3), end_force (3, 3), end_moment (3, 3), physical True)"]
 
 

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 
 import doo_ti
 from doo_ti import InputError
+from doo_ti.commands.results import plain
 from doo_ti.dynamics.theta import save_form
 from doo_ti.system import argument_rules
 from doo_ti.system.arguments import typed
@@ -65,7 +66,7 @@ def test_no_rods_are_no_error(around):
 @pytest.mark.parametrize("key", ["bend_mm3", "rest_length_mm", "up", "friction"])
 def test_what_is_no_number_in_a_file_of_theta_is_refused(tmp_path, key, value):
     path = tmp_path / "THETA.json"
-    form = {name: np.asarray(value).tolist() for name, value in save_form(hostile_calls.theta()).items()}
+    form = plain(save_form(hostile_calls.theta()))
     path.write_text(json.dumps(form | {key: value}))
     with pytest.raises(InputError) as caught:
         doo_ti.load_theta(path)
@@ -107,21 +108,15 @@ def test_what_stands_for_a_value_is_taken():
 
 @pytest.mark.parametrize(("call", "source", "field"), [
     (lambda: Several(np.zeros((2, 2)), [True]), "Several", "places"),
-    (lambda: Several([[0, 0, 0], [1, 1]], [True]), "Several", "places"),
-    (lambda: Several(["a"], [True]), "Several", "places"),
+    (lambda: Several([[0, 0, 0], [1, 1]], [True]), "Several", "places"), (lambda: Several(["a"], [True]), "Several", "places"),
     (lambda: Several(np.zeros((2, 3)), [1, 0]), "Several", "flags"),
     (lambda: Several(np.zeros((2, 3)), np.ones(3, bool)), "Several", "flags"),
     (lambda: Several(np.zeros((2, 3)), [True], [0.5]), "Several", "numbers"),
-    (lambda: Several(np.zeros((2, 3)), [True], [1, 2]), "Several", "numbers"),
-    (lambda: mixed(1.0), "mixed", "several"),
-    (lambda: mixed(TWO, [1, 2, 3]), "mixed", "weight"),
-    (lambda: mixed(TWO, "heavy"), "mixed", "weight"),
-    (lambda: mixed(TWO, shade=2), "mixed", "shade"),
-    (lambda: mixed(TWO, names="abc"), "mixed", "names"),
-    (lambda: mixed(TWO, names=(1,)), "mixed", "names"),
-    (lambda: mixed(TWO, size=1.5), "mixed", "size"),
-    (lambda: mixed(TWO, size=True), "mixed", "size"),
-    (lambda: mixed(TWO, size=10**400), "mixed", "size")])
+    (lambda: Several(np.zeros((2, 3)), [True], [1, 2]), "Several", "numbers"), (lambda: mixed(1.0), "mixed", "several"),
+    (lambda: mixed(TWO, [1, 2, 3]), "mixed", "weight"), (lambda: mixed(TWO, "heavy"), "mixed", "weight"),
+    (lambda: mixed(TWO, shade=2), "mixed", "shade"), (lambda: mixed(TWO, names="abc"), "mixed", "names"),
+    (lambda: mixed(TWO, names=(1,)), "mixed", "names"), (lambda: mixed(TWO, size=1.5), "mixed", "size"),
+    (lambda: mixed(TWO, size=True), "mixed", "size"), (lambda: mixed(TWO, size=10**400), "mixed", "size")])
 def test_what_does_not_is_named(call, source, field):
     check_refused(f"^{source}: {field}: ", call)
 

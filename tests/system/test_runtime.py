@@ -11,7 +11,7 @@ import pytest
 from doo_ti.relaxation import chain, contacts, newton_trip
 from doo_ti.system import runtime
 from doo_ti.system.taichi_internals import _lines_of
-from tests.first_use import CALLS
+from tests.first_use import CALLS, PREPARED
 from tests.processes import python
 
 WHERE = """
@@ -139,7 +139,7 @@ FIRST = ("relax", "simulate")
 
 @pytest.mark.parametrize(("name", "threads"), [
     *(pytest.param(name, 8, marks=pytest.mark.thorough) for name in FIRST),
-    *(pytest.param(name, threads, marks=pytest.mark.slow) for name in CALLS for threads in (2, 8)
+    *(pytest.param(name, threads, marks=pytest.mark.slow) for name in (*CALLS, *PREPARED) for threads in (2, 8)
       if name not in FIRST or threads < 8)])
 def test_any_function_may_be_the_first_of_several_threads(name, threads):
     """Which use the kernels for the first time at the same moment: Taichi compiles for one at a time."""
