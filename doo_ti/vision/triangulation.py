@@ -44,7 +44,7 @@ MOST = 1e9  # of options: squares of much larger numbers overflow
 FEWEST_MARKS = 10  # from which noise is learned
 WITHIN = 10.0  # Labels have the stated noise to this factor: what scatters more are no labels of these cameras
 BEYOND = 0.025  # share of the marks whose sums of squares are left out where noise is learned
-ODD, SURE = 2.0, 1e-3  # A camera is odd without which labels scatter this much less, and how often by chance
+ODD, SURE = 2.0, 1e-4  # A camera is odd without which labels scatter this much less, and how often by chance
 
 
 @dataclass(frozen=True)
@@ -124,21 +124,25 @@ def triangulate(rig: Rig, pixels: np.ndarray, options: TriangulationOptions = Tr
 def _agreeing(rig: Rig, pixels: np.ndarray, seen: np.ndarray):
     """The labels ``seen`` (C, P) without those of an odd camera, their points and sums of squares as :func:`_fitted`, and px,
     their scatter."""
-    whole = seen, *_fitted(rig, pixels, seen)
-    square, freedom = _scatter(seen, whole[2])
-    if len(rig.cameras) == 2 or not freedom:
-        return *whole, np.sqrt(square)
-    odd, least, left = whole, square, freedom
-    for camera in range(len(rig.cameras)):
+    best = seen, *_fitted(rig, pixels, seen)
+    square, whole = _scatter(seen, best[2])
+    least = square
+    for camera in range(len(rig.cameras) if np.isfinite(best[2]).sum() >= 2 * FEWEST_MARKS else 0):
         rest = seen & (np.arange(len(rig.cameras)) != camera)[:, None]
-        without = rest, *_fitted(rig, pixels, rest)
-        own, fewer = _scatter(rest, without[2])
-        if fewer and own < least:
-            odd, least, left = without, own, fewer
-    # F: what the camera's labels add to the sum of squares, over the others' scatter.
-    chance = fdtri(max(freedom - left, 1), left, 1 - SURE / len(rig.cameras)) if left < freedom else 1.0
-    least_ratio = max(ODD**2, (left + (freedom - left) * chance) / freedom)
-    return *(odd if square > least_ratio * least else whole), np.sqrt(least if square > least_ratio * least else square)
+        fitted = _fitted(rig, pixels, rest)
+        own, left = _scatter(rest, fitted[1])
+        # F: what the camera's labels add to the sum of squares, over the others' scatter.
+        added = max(whole - left, 1)
+        by_chance = (left + added * fdtri(added, max(left, 1), 1 - SURE / len(rig.cameras))) / whole
+        if own < least and square > max(ODD**2, by_chance) * own:
+            best, least = (rest, *fitted), own
+    return *best, float(np.sqrt(least))
+
+
+def label_scatter(rig: Rig, pixels: np.ndarray) -> float:
+    """px, the noise of labels ``pixels`` (C, P, 2) as :func:`triangulate` learns it from all cameras; infinite if it cannot."""
+    seen = np.isfinite(pixels).all(axis=-1)
+    return float(np.nan_to_num(np.sqrt(_scatter(seen, _fitted(rig, pixels, seen)[1])[0]), nan=np.inf))
 
 
 def _scatter(used: np.ndarray, cost: np.ndarray) -> tuple[float, float]:
@@ -152,15 +156,15 @@ def _scatter(used: np.ndarray, cost: np.ndarray) -> tuple[float, float]:
     expected = freedom * chdtr(freedom + 2, most) / (1 - BEYOND)  # mean of χ² below ``most``
     for _ in range(MOST_STEPS):
         kept = cost <= square * most
-        before, square = square, float(cost[kept].sum() / (expected[kept].sum() - 2))  # −2: errors² over it are 1 on average
+        before, square = square, float(cost[kept].sum() / max(expected[kept].sum() - 2, 1))  # −2: errors² over it average 1
         if square == before:
             break
     return square, int(freedom[kept].sum())
 
 
 def _tolerated(used: np.ndarray, threshold: float) -> np.ndarray:
-    """(P,) the largest sum of squares over σ² that noise explains, of marks with labels ``used`` (C, P): χ² of 2n − 3 degrees of
-    freedom, by Wilson and Hilferty."""
+    """(P,) the largest sum of squares over σ² that noise explains, of marks with the labels ``used`` (C, P): χ² of 2n − 3
+    degrees of freedom, by Wilson and Hilferty."""
     freedom = np.maximum(2 * used.sum(axis=0) - 3, 1)
     spread = 2 / (9 * freedom)
     return freedom * (1 - spread + threshold * np.sqrt(spread)) ** 3
