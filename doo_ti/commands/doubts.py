@@ -213,17 +213,16 @@ def exchanged_doubt(observations: Observations, lengths: float | None = None) ->
             rows.setdefault(tuple(map(int, np.unravel_index(ratio.argmin(), ratio.shape))), []).append(row)
     found = []
     for (first, second), own in rows.items():
-        others = np.delete(observations.vertices, own, axis=0)
-        if lengths is None and len(others) < 2:
+        if lengths is None and observations.count - len(own) < 2:
             continue
         order = np.arange(observations.edges + 1)
         order[[first, second]] = second, first
         edges = np.setdiff1d([first - 1, first, second - 1, second], [-1, observations.edges, *[first] * (second == first + 1)])
-        apart = np.linalg.norm(np.diff(others, axis=1)[:, edges], axis=-1)
-        most = len(edges) * lengths if lengths is not None else np.nan_to_num(apart).max(axis=0).sum()
-        now, then = (np.linalg.norm(np.diff(observations.vertices[own][:, places], axis=1)[:, edges], axis=-1).sum(axis=1)
-                     for places in (np.arange(len(order)), order))
-        found += [(own[k], first, second) for k in np.flatnonzero((now > TOO_LONG * most) & (then < DOUBTFUL * most))]
+        now, then = (np.linalg.norm(np.diff(places, axis=1)[:, edges], axis=-1)
+                     for places in (observations.vertices, observations.vertices[:, order]))
+        most = len(edges) * lengths if lengths is not None else np.nan_to_num(np.delete(now, own, axis=0)).max(axis=0).sum()
+        wrong = (now.sum(axis=1) > TOO_LONG * most) & (then.sum(axis=1) < DOUBTFUL * most)
+        found += [(row, first, second) for row in own if wrong[row]]
     if not found:
         return None
     places = "; ".join(f"{first} and {second} of observation {in_line(str(observations.labels[row]))}"
