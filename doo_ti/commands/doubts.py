@@ -26,7 +26,7 @@ BOTH_AGREE = 1.7  # sum of the cosines between the frames of both ends and the e
 EXCHANGED, SHORTER = 0.8, 0.7
 """Least share of the observations in which the line through the marks is shorter with two of them exchanged, and the most that
 its length beside these two then is, over that before."""
-TOO_LONG = 1.2  # length of the line beside two marks over the longest in other observations: 0 of 1200 in order, soft ropes too
+TOO_LONG = 1.2  # length of the line beside two marks over the longest in other observations: 0 of 1100 in order, soft ropes too
 FAR_OFF = 0.03  # of the rod's length, from its marks on average: more is no error of measurement
 MOST_LOOKED_AT, MOST_PAIRS = 30, 4_000_000  # observations, and pairs of marks in all of them
 MOST_NAMED = 5

@@ -143,7 +143,7 @@ def moved_camera(sightings: list[tuple], covariance: np.ndarray) -> Moved | None
         for k in range(few, count - few + 1):
             step = np.linalg.pinv(square[k:, :, k:].sum(axis=(0, 2)), UNSEEN, hermitian=True) @ slope[k:].sum(axis=0)
             gain, freedom = slope[k:].sum(axis=0) @ step, count - 2
-            ratio = gain / max((every - gain) / freedom, np.finfo(float).tiny)
+            ratio = gain * freedom / max(every - gain, UNSEEN * every, np.finfo(float).tiny)
             shift = np.sqrt(step @ alone[k:].sum(axis=0) @ step / sum(len(one[2]) / 2 for one in own[k:]))
             found.append((gain, fdtrc(1, freedom, ratio), (camera,) if cameras > 2 else (0, 1), own[k][0], float(shift)))
     sure = [(gain, *move) for gain, chance, *move in found if chance * len(found) < FALSE_ALARMS]
