@@ -6,7 +6,6 @@ from itertools import combinations
 from pathlib import Path
 
 import numpy as np
-from scipy.special import bdtrc
 
 from doo_ti.commands import doubts, given, image_options, results
 from doo_ti.io.observation_files import save_observations
@@ -246,6 +245,8 @@ def _doubt_rig(rig: Rig, marks: Marks, points: Points, chosen: TriangulationOpti
 
 def _doubt_labels(rig: Rig, marks: Marks, points: Points) -> None:
     """Warn of observations, and of marks, of which more than half of the places contradict, more than by chance."""
+    from scipy.special import bdtrc
+
     shape = marks.pixels.shape[:4]
     labelled = np.isfinite(marks.pixels).all(axis=-1)
     wrong = np.isin(points.status, (MarkStatus.OUTLIER_LEFT_OUT, MarkStatus.CONTRADICTORY)).reshape(shape[1:])

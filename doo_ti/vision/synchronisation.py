@@ -13,14 +13,16 @@ Motion along epipolar planes shows nothing. Axes: T frames, C cameras, P pairs o
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations
+from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.special import fdtrc
 
 from doo_ti.rod.frames import across, unit_vectors
 from doo_ti.vision.cameras import Rig
-from doo_ti.vision.detection import Detection
 from doo_ti.vision.triangulation import rays
+
+if TYPE_CHECKING:  # SciPy's trees take long to import, and calibration needs none
+    from doo_ti.vision.detection import Detection
 
 FEWEST_FRAMES = 12
 MOST_APART, STEP = 3.0, 0.5  # frames: the largest shift that is tried, and the steps to it
@@ -44,7 +46,7 @@ class Apart:
     off: tuple[float, float]
 
 
-def epipolar_extremes(rig: Rig, detected: Sequence[Detection]) -> np.ndarray:
+def epipolar_extremes(rig: Rig, detected: "Sequence[Detection]") -> np.ndarray:
     """(P, 2, 2) px: of each pair of cameras, in each of both, the least and the largest angle of epipolar planes through the
     thread, times the focal length of the first. NaN where one sees none, or both are at the same place."""
     extremes = np.full((len(detected) * (len(detected) - 1) // 2, 2, 2), np.nan)
@@ -122,6 +124,8 @@ def moved_camera(sightings: list[tuple], covariance: np.ndarray) -> Moved | None
     With extra poses e of slopes E beside unknowns x of slopes J the sum of squares falls by gᵀ K⁻¹ g; g = Eᵀ r, and
     K = Eᵀ E − Eᵀ J (JᵀJ)⁻¹ Jᵀ E.
     """
+    from scipy.special import fdtrc
+
     seeing = {view: {camera for at, camera, *_ in sightings if at == view} for view, *_ in sightings}
     cameras, found = max(max(own) for own in seeing.values()) + 1, []
     for camera in range(cameras):
@@ -143,7 +147,7 @@ def moved_camera(sightings: list[tuple], covariance: np.ndarray) -> Moved | None
         for k in range(few, count - few + 1):
             step = np.linalg.pinv(square[k:, :, k:].sum(axis=(0, 2)), UNSEEN, hermitian=True) @ slope[k:].sum(axis=0)
             gain, freedom = slope[k:].sum(axis=0) @ step, count - 2
-            ratio = gain * freedom / max(every - gain, UNSEEN * every, np.finfo(float).tiny)
+            ratio = gain * freedom / max(every - gain, UNSEEN * abs(gain), np.finfo(float).tiny)
             shift = np.sqrt(step @ alone[k:].sum(axis=0) @ step / sum(len(one[2]) / 2 for one in own[k:]))
             found.append((gain, fdtrc(1, freedom, ratio), (camera,) if cameras > 2 else (0, 1), own[k][0], float(shift)))
     sure = [(gain, *move) for gain, chance, *move in found if chance * len(found) < FALSE_ALARMS]

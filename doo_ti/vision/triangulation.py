@@ -16,7 +16,6 @@ from dataclasses import dataclass, replace
 from enum import IntEnum
 
 import numpy as np
-from scipy.special import chdtr, chdtri, fdtri
 
 from doo_ti.rod.frames import unit_vectors
 from doo_ti.rod.types import LARGEST
@@ -124,6 +123,8 @@ def triangulate(rig: Rig, pixels: np.ndarray, options: TriangulationOptions = Tr
 def _agreeing(rig: Rig, pixels: np.ndarray, seen: np.ndarray):
     """The labels ``seen`` (C, P) without those of an odd camera, their points and sums of squares as :func:`_fitted`, and px,
     their scatter."""
+    from scipy.special import fdtri
+
     best = seen, *_fitted(rig, pixels, seen)
     square, whole = _scatter(seen, best[2])
     least = square
@@ -148,6 +149,8 @@ def label_scatter(rig: Rig, pixels: np.ndarray) -> float:
 def _scatter(used: np.ndarray, cost: np.ndarray) -> tuple[float, float]:
     """px², the variance of a coordinate of the labels ``used`` (C, P), by the sums of squares ``cost`` (P,) of marks, but those
     that rarely are so large at that noise; and their degrees of freedom. NaN and 0 of too few marks."""
+    from scipy.special import chdtr, chdtri
+
     known = np.isfinite(cost) & (used.sum(axis=0) > 1)
     if known.sum() < FEWEST_MARKS:
         return np.nan, 0
