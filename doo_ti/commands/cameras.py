@@ -2,11 +2,12 @@
 
 from argparse import Namespace
 from dataclasses import replace
+from itertools import combinations
 from pathlib import Path
 
 import numpy as np
 
-from doo_ti.commands import given, image_options, results
+from doo_ti.commands import doubts, given, image_options, results
 from doo_ti.io.observation_files import save_observations
 from doo_ti.rod.material import UNITS_IN_MM
 from doo_ti.rod.observations import Observations
@@ -18,9 +19,11 @@ from doo_ti.vision.calibration import COEFFICIENTS, WORLDS, Calibration, calibra
 from doo_ti.vision.cameras import Rig
 from doo_ti.vision.marks import Marks, observe, read_labels, read_marks
 from doo_ti.vision.rig_files import save_rig
-from doo_ti.vision.triangulation import MarkStatus, Points, TriangulationOptions, triangulate
+from doo_ti.vision.triangulation import WITHIN, MarkStatus, Points, TriangulationOptions, label_scatter, triangulate
 
 MOST_LISTED = 20
+MOST_NAMED = 5
+SELDOM = 0.01  # share of sound data in which an observation or a mark is named
 LEAST_SPACING_MM = 0.1  # median distance of neighbouring marks below which the rig's unit is doubted
 
 
@@ -76,6 +79,12 @@ SQUARE = 5e-3  # share by which the pixels of cameras differ from squares, at mo
 def _doubt_calibration(views: Views, calibration: Calibration) -> None:
     """Warn of images that fit far worse than the others, of cameras that agree less about the board than each with itself, or
     are at the same place, and of pixels that are no squares."""
+    moved = calibration.moved
+    if moved is not None and moved.shift > LEAST_APART_PX:
+        names = " or ".join(in_line(views.cameras[camera]) for camera in moved.cameras)
+        warn(f"{in_line(views.source)}: {names} moved before view {in_line(views.names[moved.view])}, by {moved.shift:.2g} px "
+             "at the corners: give only the views before, or only those from there on")
+        return
     limit = max(FAR_OFF * np.nanmedian(calibration.rms), LEAST_OFF_PX)
     for view in np.flatnonzero((calibration.rms > limit).any(axis=1)):
         warn(f"{in_line(views.source)}: view {in_line(views.names[view])}: {np.nanmax(calibration.rms[view]):.2g} px off, the "
@@ -165,9 +174,11 @@ def run_triangulate(options: Namespace) -> int:
         labels["total_twist"] = np.radians(labels["total_twist"])
     points = triangulate(rig, marks.pixels.reshape(len(rig.cameras), -1, 2), chosen)
     _check_reading(rig, marks, points, chosen)
-    _doubt_cameras(rig, points)
+    if not _doubt_rig(rig, marks, points, chosen) and not _doubt_cameras(rig, points):
+        _doubt_labels(rig, marks, points)
     up = {} if options.up is None else {"up": options.up}
     observations, filled = observe(marks, points, options.rest_length, **up, name=options.out.stem, **labels)
+    doubts.say(marks.source, doubts.order_doubt(observations) or doubts.exchanged_doubt(observations, options.rest_length))
     save_observations(options.out, observations)
     summary = _marks_summary(marks, rig, points, observations, filled, chosen, options.out)
     results.report(options, summary, lambda: _marks_lines(marks, summary))
@@ -191,15 +202,66 @@ def _check_reading(rig: Rig, marks: Marks, points: Points, chosen: Triangulation
                                  f"contradict each other, of {labelled - valid} if {assumed}", f"give {option}")
 
 
-def _doubt_cameras(rig: Rig, points: Points) -> None:
-    """Warn of cameras whose labels disagree with the others' at most marks."""
-    out = points.status == MarkStatus.OUTLIER_LEFT_OUT
-    for name, residual, used in zip(rig.names, points.residual, points.used, strict=True):
-        seen = points.valid & np.isfinite(residual)
-        wrong = int(np.sum(seen & out & ~used))
-        if 2 * wrong > seen.sum():
-            warn(f"{in_line(rig.source)}: {in_line(name)} disagrees with the others at {wrong} of {seen.sum()} marks: it has "
-                 "moved, or its images are others; calibrate it again, or leave it out")
+def _doubt_cameras(rig: Rig, points: Points) -> bool:
+    """Warn of cameras whose labels disagree with the others' at most marks; whether there is one."""
+    seen = points.valid & np.isfinite(points.residual)
+    wrong, marks = np.sum(seen & ~points.used, axis=1), seen.sum(axis=1)
+    for camera in np.flatnonzero(2 * wrong > marks):
+        warn(f"{in_line(rig.source)}: {in_line(rig.names[camera])} disagrees with the others at {wrong[camera]} of "
+             f"{marks[camera]} marks: it has moved, its images are others, or its labels coarser; calibrate it "
+             "again, or leave it out")
+    return bool((2 * wrong > marks).any())
+
+
+SCALES = 2.0, 3.0, 4.0, 1.5, 4 / 3, 0.5, 0.75  # of images that were taken, or labelled, at another resolution
+MOST_TRIED = 100  # marks
+
+
+def _doubt_rig(rig: Rig, marks: Marks, points: Points, chosen: TriangulationOptions) -> bool:
+    """Warn of labels that agree far better in a rig read otherwise, and of those that agree in none; whether it warned."""
+    now = points.label_sigma
+    if not now > chosen.sigma_px:
+        return False
+    pixels = marks.pixels.reshape(len(rig.cameras), -1, 2)
+    pixels = pixels[:, :: -(-pixels.shape[1] // MOST_TRIED)]
+    tried = [(label_scatter(rig, scale * pixels) / scale, f"images had {scale:.3g} times as many pixels a side",
+              "label images as they were calibrated, or calibrate with images as they were labelled") for scale in SCALES]
+    each = []
+    for one, other in combinations(range(len(pixels)), 2):
+        order = np.arange(len(pixels))
+        order[[one, other]] = other, one
+        names = f"{in_line(rig.names[one])} and {in_line(rig.names[other])}"
+        tried.append((label_scatter(rig, pixels[order]), f"{names} are exchanged", "correct the cameras' names"))
+        each.append(f"{names} {label_scatter(rig.take([one, other]), pixels[[one, other]]):.2g}")
+    best, assumed, remedy = min(tried)
+    if FAR_OFF * best < now:
+        warn(f"{in_line(rig.source)}: labels scatter by {now:.2g} px, but {best:.2g} px if {assumed}: {remedy}")
+    elif now > WITHIN * chosen.sigma_px:
+        warn(f"{in_line(rig.source)}: labels scatter by {now:.2g} px, {chosen.sigma_px:g} px were stated (pairs of cameras: "
+             f"{', '.join(each)}): calibrate with images as those labelled, neither cropped nor scaled; check labels; or give "
+             "--sigma-px")
+    return bool(FAR_OFF * best < now or now > WITHIN * chosen.sigma_px)
+
+
+def _doubt_labels(rig: Rig, marks: Marks, points: Points) -> None:
+    """Warn of observations, and of marks, of which more than half of the places contradict, more than by chance."""
+    from scipy.special import bdtrc
+
+    shape = marks.pixels.shape[:4]
+    labelled = np.isfinite(marks.pixels).all(axis=-1)
+    wrong = np.isin(points.status, (MarkStatus.OUTLIER_LEFT_OUT, MarkStatus.CONTRADICTORY)).reshape(shape[1:])
+    left_out = wrong & labelled & points.valid.reshape(shape[1:]) & ~points.used.reshape(shape)
+    for kind, axis, remedy in (("observation", 0, "an image is of another moment, or its marks are counted otherwise"),
+                               ("mark", 1, "it was taken for another")):
+        bad, of = (np.moveaxis(places, axis, 0).sum(axis=(1, 2)) for places in (wrong, labelled.sum(axis=0) > 1))
+        chance = bdtrc(np.maximum(bad - 1, 0), of, bad.sum() / max(of.sum(), 1))  # of so many, if all were alike
+        rows = np.flatnonzero((2 * bad > of) & (chance < SELDOM / len(bad)))
+        if len(rows):
+            names = [in_line(marks.names[row]) if kind == "observation" else str(row) for row in rows[:MOST_NAMED]]
+            blamed = np.moveaxis(left_out, 1 + axis, 1)[:, rows].sum(axis=(1, 2, 3))
+            most = f", most by {in_line(rig.names[blamed.argmax()])}" if blamed.any() else ""
+            warn(f"{in_line(marks.source)}: {kind} {', '.join(names)}{' …' * (len(rows) > MOST_NAMED)}: labels "
+                 f"contradict each other at {bad[rows].sum()} of {of[rows].sum()} places{most}: {remedy}")
 
 
 def _marks_summary(marks: Marks, rig: Rig, points: Points, observations: Observations, filled: np.ndarray,
@@ -209,7 +271,7 @@ def _marks_summary(marks: Marks, rig: Rig, points: Points, observations: Observa
         "observations": observations.count, "names": marks.names, "vertices": observations.edges + 1, "ribbon": marks.is_ribbon,
         "marks": {name: count for name, count in counts.items() if count}, "valid_vertices": observations.valid.sum(),
         "median_sigma_mm": np.median(observations.sigma[observations.valid]),
-        "sigma_px": chosen.sigma_px, "label_sigma_px": points.label_sigma,
+        "stated_sigma_px": chosen.sigma_px, "sigma_px": points.sigma_px, "label_sigma_px": points.label_sigma,
         "rms_px": {name: np.sqrt(np.mean(points.residual[camera, used] ** 2)) if used.any() else np.nan
                    for camera, (name, used) in enumerate(zip(rig.names, points.used, strict=True))},
         "outliers": _unused_labels(marks, rig, points, MarkStatus.OUTLIER_LEFT_OUT),
@@ -234,12 +296,14 @@ def _unused_labels(marks: Marks, rig: Rig, points: Points, status: MarkStatus) -
 def _marks_lines(marks: Marks, summary: dict) -> list[str]:
     count, vertices = summary["observations"], summary["vertices"]
     rms = ", ".join(f"{name} {value:.2f}" for name, value in summary["rms_px"].items())
+    few = np.isnan(summary["label_sigma_px"])
+    learned = "too few to learn their scatter" if few else f"scatter by {summary['label_sigma_px']:.2g} px"
     lines = [f"{counted(count, 'observation')} of {vertices} vertices{', a ribbon' * marks.is_ribbon}",
              f"  marks       {results.status_text(summary['marks'])}; {summary['valid_vertices']} of {count * vertices} "
              "vertices valid",
              f"  residual    {rms} px (rms)",
-             f"  labels      their scatter is {summary['label_sigma_px']:.2g} px, {summary['sigma_px']:.2g} px were assumed",
-             f"  sigma       median {summary['median_sigma_mm']:.3g} mm"]
+             f"  labels      {learned}, {summary['stated_sigma_px']:.2g} px were stated",
+             f"  sigma       median {summary['median_sigma_mm']:.3g} mm, for {summary['sigma_px']:.2g} px"]
     for kind, label, verdict in (("outliers", "outlier", ", left out"), ("contradictory", "contradictory", "")):
         lines += results.shortened([
             f"  {label:<11} observation {entry['observation']}, mark {entry['mark']}, {entry['camera']}: "

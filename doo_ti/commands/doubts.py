@@ -26,8 +26,10 @@ BOTH_AGREE = 1.7  # sum of the cosines between the frames of both ends and the e
 EXCHANGED, SHORTER = 0.8, 0.7
 """Least share of the observations in which the line through the marks is shorter with two of them exchanged, and the most that
 its length beside these two then is, over that before."""
+TOO_LONG = 1.2  # length of the line beside two marks over the longest in other observations: 0 of 1100 in order, soft ropes too
 FAR_OFF = 0.03  # of the rod's length, from its marks on average: more is no error of measurement
 MOST_LOOKED_AT, MOST_PAIRS = 30, 4_000_000  # observations, and pairs of marks in all of them
+MOST_NAMED = 5
 ALIKE = 0.5  # of the distance that noise gives to two observations of one pose: they share errors
 
 
@@ -175,7 +177,19 @@ def exchanged_marks(observations: Observations) -> tuple[int, int] | None:
     """The two marks, counted from 0, whose exchange makes the line through the marks far shorter in nearly all observations; of
     several pairs the one that shortens it most, and None where there is none."""
     looked_at = max(1, min(MOST_LOOKED_AT, MOST_PAIRS // observations.vertices.shape[1] ** 2))
-    vertices = observations.vertices[:: -(-observations.count // looked_at)]
+    ratio = _with_two_exchanged(observations.vertices[:: -(-observations.count // looked_at)])
+    seen = np.isfinite(ratio).sum(axis=0)
+    often = (ratio < SHORTER).sum(axis=0) >= EXCHANGED * np.maximum(seen, 1)
+    if not often.any():
+        return None
+    mean = np.where(often, np.nansum(ratio, axis=0) / np.maximum(seen, 1), np.inf)
+    first, second = np.unravel_index(mean.argmin(), mean.shape)
+    return int(first), int(second)
+
+
+def _with_two_exchanged(vertices: np.ndarray) -> np.ndarray:
+    """(D, V, V): length of the line through the marks (D, V, 3) beside two of them, the first before the second, if they are
+    exchanged, over that as they are. NaN where marks are missing."""
     apart = np.linalg.norm(vertices[:, :, None] - vertices[:, None], axis=-1)
     beside = np.zeros_like(apart)  # (D, V, V): length of the line at place i with mark j there
     beside[:, 1:] += apart[:, :-1]
@@ -186,13 +200,35 @@ def exchanged_marks(observations: Observations) -> tuple[int, int] | None:
     with np.errstate(invalid="ignore", divide="ignore"):
         ratio = exchanged / labelled
     ratio[:, *np.tril_indices(ratio.shape[1])] = np.nan
-    seen = np.isfinite(ratio).sum(axis=0)
-    often = (ratio < SHORTER).sum(axis=0) >= EXCHANGED * np.maximum(seen, 1)
-    if not often.any():
+    return ratio
+
+
+def exchanged_doubt(observations: Observations, lengths: float | None = None) -> str | None:
+    """That single observations have two marks exchanged, or None: between those the rod would be longer than it ever is in the
+    others, or than the stated ``lengths`` between marks, and no longer so if they are exchanged."""
+    rows: dict[tuple[int, ...], list[int]] = {}
+    for row, marks in enumerate(observations.vertices):
+        ratio = np.nan_to_num(_with_two_exchanged(marks[None])[0], nan=np.inf)
+        if ratio.min() < SHORTER:
+            rows.setdefault(tuple(map(int, np.unravel_index(ratio.argmin(), ratio.shape))), []).append(row)
+    found = []
+    for (first, second), own in rows.items():
+        if lengths is None and observations.count - len(own) < 2:
+            continue
+        order = np.arange(observations.edges + 1)
+        order[[first, second]] = second, first
+        edges = np.setdiff1d([first - 1, first, second - 1, second], [-1, observations.edges, *[first] * (second == first + 1)])
+        now, then = (np.linalg.norm(np.diff(places, axis=1)[:, edges], axis=-1)
+                     for places in (observations.vertices, observations.vertices[:, order]))
+        most = len(edges) * lengths if lengths is not None else np.nan_to_num(np.delete(now, own, axis=0)).max(axis=0).sum()
+        wrong = (now.sum(axis=1) > TOO_LONG * most) & (then.sum(axis=1) < DOUBTFUL * most)
+        found += [(row, first, second) for row in own if wrong[row]]
+    if not found:
         return None
-    mean = np.where(often, np.nansum(ratio, axis=0) / np.maximum(seen, 1), np.inf)
-    first, second = np.unravel_index(mean.argmin(), mean.shape)
-    return int(first), int(second)
+    places = "; ".join(f"{first} and {second} of observation {in_line(str(observations.labels[row]))}"
+                       for row, first, second in sorted(found)[:MOST_NAMED])
+    return (f"marks {places}{' …' * (len(found) > MOST_NAMED)} look exchanged: the rod would be longer there than it is in the "
+            "others; check these labels in all cameras")
 
 
 def length_doubt(observations: Observations) -> str | None:

@@ -18,6 +18,7 @@ import numpy as np
 from doo_ti.rod.frames import cross_matrix, rotation_matrix
 from doo_ti.system.errors import InputError
 from doo_ti.vision.cameras import FITTED, Camera, Rig
+from doo_ti.vision.synchronisation import Moved, moved_camera
 from doo_ti.vision.triangulation import least_squares
 
 FEWEST_VIEWS = 3
@@ -89,6 +90,7 @@ class Calibration:
     alone: np.ndarray  # (C,) px: root mean square distance of a camera's corners where it is calibrated by itself
     left_out: np.ndarray  # (V, C) number of corners that were far off, among others of their image that were not
     covered: np.ndarray  # (C,) share of a camera's image that the convex hull of its corners covers
+    moved: Moved | None  # a camera between two views, taken in the order given
 
     @property
     def worst(self) -> tuple[int, int]:
@@ -137,9 +139,13 @@ def calibrate(points: np.ndarray, sightings: list[Sighting], sizes: dict[str, tu
     if any(len(some.found) < len(every.found) for some, every in zip(kept, sightings)):
         again = calibrate(points, kept, sizes, views, world, distortion, source)
         return replace(again, left_out=calibration.corners - again.corners)
+    moved = calibration.moved
+    remedy = TILT if moved is None else (f"{' or '.join(names[camera] for camera in moved.cameras)} moved before view number "
+                                         f"{moved.view + 1}: give only the views before, or those from there on")
     for camera, sigma in zip(calibration.rig.cameras, calibration.focal_sigma[:, 0]):
         if not sigma < VAGUE * camera.matrix[0, 0]:
-            raise InputError(source, camera.name, f"its focal length would be {camera.matrix[0, 0]:.0f} px ± {sigma:.0f}", TILT)
+            problem = f"its focal length would be {camera.matrix[0, 0]:.0f} px ± {sigma:.0f}"
+            raise InputError(source, camera.name, problem, remedy)
     return calibration
 
 
@@ -261,7 +267,8 @@ def _calibration(bundle: Bundle, covariance: np.ndarray, points, sightings, free
         covered[index] = cv2.contourArea(cv2.convexHull(seen.astype(np.float32))) / (camera.width * camera.height)
     return Calibration(Rig(bundle.cameras, source), bundle.rotations, bundle.translations, rms, corners,
                        float(np.sqrt(squares / corners.sum())), float(sigma), centre_sigma, focal_sigma, alone,
-                       np.zeros_like(corners), covered)
+                       np.zeros_like(corners), covered, moved_camera(
+                           [(s.view, s.camera, *_linearised(bundle, points, s)) for s in sightings], covariance))
 
 
 # --- bundle adjustment -----------------------------------------------------------------------------------------------------
@@ -301,22 +308,26 @@ def _normal_equations(bundle: Bundle | None, points: np.ndarray, sightings: list
     JᵀJ and (1, F) Jᵀr of the free unknowns."""
     normal, slope, cost = np.zeros((len(free), len(free))), np.zeros(len(free)), np.inf if bundle is None else 0.0
     for sighting in [] if bundle is None else sightings:
-        lenses, of_cameras, of_views = places(len(bundle.cameras), len(bundle.rotations))
-        camera = bundle.cameras[sighting.camera]
-        world = bundle.corners(points, sighting)
-        pixel, by_point, by_lens = camera.project_with_jacobian(world)
-        residual = (pixel - sighting.pixels).ravel()
-        by_world = by_point @ camera.rotation
-        jacobian = np.concatenate([
-            by_lens, -by_point @ cross_matrix(world @ camera.rotation.T), by_point,
-            -by_world @ cross_matrix(world - bundle.translations[sighting.view]), by_world], axis=-1)
-        jacobian = jacobian.reshape(-1, jacobian.shape[-1])
-        at = np.concatenate([lenses[sighting.camera], of_cameras[sighting.camera], of_views[sighting.view]])
+        residual, jacobian, at = _linearised(bundle, points, sighting)
         normal[np.ix_(at, at)] += jacobian.T @ jacobian
         slope[at] += jacobian.T @ residual
         cost += residual @ residual
     cost = cost if np.isfinite(cost) else np.inf
     return np.array([cost]), normal[np.ix_(free, free)][None], slope[free][None]
+
+
+def _linearised(bundle: Bundle, points: np.ndarray, sighting: Sighting) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(2n,) px errors of a sighting, (2n, K) their slopes by the lens and the poses of camera and board, and (K,) the places of
+    these among the unknowns."""
+    lenses, of_cameras, of_views = places(len(bundle.cameras), len(bundle.rotations))
+    camera, world = bundle.cameras[sighting.camera], bundle.corners(points, sighting)
+    pixel, by_point, by_lens = camera.project_with_jacobian(world)
+    by_world = by_point @ camera.rotation
+    jacobian = np.concatenate([
+        by_lens, -by_point @ cross_matrix(world @ camera.rotation.T), by_point,
+        -by_world @ cross_matrix(world - bundle.translations[sighting.view]), by_world], axis=-1)
+    at = np.concatenate([lenses[sighting.camera], of_cameras[sighting.camera], of_views[sighting.view]])
+    return (pixel - sighting.pixels).ravel(), jacobian.reshape(-1, jacobian.shape[-1]), at
 
 
 def _inverse(normal: np.ndarray) -> np.ndarray:

@@ -28,7 +28,7 @@ from doo_ti.rod.frames import matrix_from_quaternion, smallest_rotation, unit_ve
 from doo_ti.rod.observations import Observations
 from doo_ti.rod.start import directions
 from doo_ti.system.errors import InputError
-from doo_ti.vision.triangulation import Points
+from doo_ti.vision.triangulation import MarkStatus, Points
 
 COLUMNS = ("observation", "camera", "mark", "u_px", "v_px")
 LABELS = {"end_distance_mm": "end_distance", "end_rotation_deg": "end_rotation", "total_twist_deg": "total_twist"}
@@ -162,8 +162,10 @@ def observe(marks: Marks, points: Points, rest_length: float | None = None, up=(
         raise InputError(marks.source, "observation", problem, "label more of its marks in two images or more, or leave it out")
     unseen = np.flatnonzero(~(valid[:, 1:] & valid[:, :-1]).any(axis=0))
     if rest_length is None and len(unseen):
-        raise InputError(marks.source, "mark", f"no observation has positions for both {unseen[0]} and {unseen[0] + 1}",
-                         "label them in two images or more, or give `rest_length`")
+        wrong = (points.status == MarkStatus.CONTRADICTORY).reshape(shape)[:, unseen[0] : unseen[0] + 2].any()
+        raise InputError(marks.source, "mark", f"no observation has positions for both {unseen[0]} and {unseen[0] + 1}"
+                         + (", whose labels contradict each other" if wrong else ""),
+                         f"{'correct' if wrong else 'label'} them in two images or more, or give `rest_length`")
     lengths = None if rest_length is None else np.full(shape[1] - 1, rest_length)
     observations = Observations(position.mean(axis=2), valid, lengths, up=up, sigma=np.sqrt(variance.sum(axis=-1)) / shape[2],
                                 name=name, source=marks.source, labels=marks.labels, **labels)

@@ -1,4 +1,5 @@
-"""Whether cameras of a video took their images at the same instants, by where the thread is between epipolar planes.
+"""Whether cameras of a video took their images at the same instants, by where the thread is between epipolar planes, and
+whether one moved between views of a board.
 
 Planes through the centres of two cameras have the same angle about the line between these in both. So the least and the largest
 angle of the planes through points of the thread are the same in both images, of the same instant. Of a moving thread in images
@@ -12,13 +13,16 @@ Motion along epipolar planes shows nothing. Axes: T frames, C cameras, P pairs o
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from doo_ti.rod.frames import across, unit_vectors
 from doo_ti.vision.cameras import Rig
-from doo_ti.vision.detection import Detection
 from doo_ti.vision.triangulation import rays
+
+if TYPE_CHECKING:  # SciPy's trees take long to import, and calibration needs none
+    from doo_ti.vision.detection import Detection
 
 FEWEST_FRAMES = 12
 MOST_APART, STEP = 3.0, 0.5  # frames: the largest shift that is tried, and the steps to it
@@ -42,7 +46,7 @@ class Apart:
     off: tuple[float, float]
 
 
-def epipolar_extremes(rig: Rig, detected: Sequence[Detection]) -> np.ndarray:
+def epipolar_extremes(rig: Rig, detected: "Sequence[Detection]") -> np.ndarray:
     """(P, 2, 2) px: of each pair of cameras, in each of both, the least and the largest angle of epipolar planes through the
     thread, times the focal length of the first. NaN where one sees none, or both are at the same place."""
     extremes = np.full((len(detected) * (len(detected) - 1) // 2, 2, 2), np.nan)
@@ -90,3 +94,61 @@ def _differences(one: np.ndarray, other: np.ndarray, shift: float) -> np.ndarray
     if not apart.size:
         return np.zeros(0)
     return np.sort(np.abs(apart - np.median(apart, axis=1, keepdims=True)).ravel())
+
+
+# --- a camera that moves between views of a board ---------------------------------------------------------------------------
+
+FEWEST_BESIDE = 3  # views before a move and after it: a single one may be bad itself
+FALSE_ALARMS = 0.01  # share of the calibrations without a move, over all cameras and views
+UNSEEN = 1e-9  # eigenvalue over the largest one of what no image shows
+POSED = slice(9, 15)  # the camera's pose behind its lens, among the slopes
+
+
+@dataclass(frozen=True)
+class Moved:
+    """A camera that moved before a ``view``, by ``shift`` px of the board's corners; both ``cameras`` of two."""
+
+    cameras: tuple[int, ...]
+    view: int
+    shift: float
+
+
+def moved_camera(sightings: list[tuple], covariance: np.ndarray) -> Moved | None:
+    """The camera that has one pose up to a view and another from there on, by an analysis of variance: what a step of its pose
+    takes from the sum of squares, beside what poses of its own in each view take further. Boards that are moved between the
+    images of a view may scatter along one direction mostly: of the six a view counts as one.
+
+    sightings   view, camera, (2n,) px errors, (2n, K) their slopes by lens and poses, (K,) places of these among the P unknowns
+    covariance  (P, P) of the unknowns for errors of one pixel, at their best values
+
+    With extra poses e of slopes E beside unknowns x of slopes J the sum of squares falls by gᵀ K⁻¹ g; g = Eᵀ r, and
+    K = Eᵀ E − Eᵀ J (JᵀJ)⁻¹ Jᵀ E.
+    """
+    from scipy.special import fdtrc
+
+    seeing = {view: {camera for at, camera, *_ in sightings if at == view} for view, *_ in sightings}
+    cameras, found = max(max(own) for own in seeing.values()) + 1, []
+    for camera in range(cameras):
+        own = sorted((one for one in sightings if one[1] == camera and len(seeing[one[0]]) > 1), key=lambda one: one[0])
+        count, few = len(own), FEWEST_BESIDE
+        if count < 2 * few:
+            continue
+        crossed, square = np.zeros((count, 6, len(covariance))), np.zeros((count, 6, count, 6))
+        slope = np.array([jacobian[:, POSED].T @ residual for *_, residual, jacobian, _ in own])
+        for k, (*_, jacobian, at) in enumerate(own):
+            crossed[k][:, at] = jacobian[:, POSED].T @ jacobian
+            square[k, :, k] = crossed[k][:, at][:, POSED]
+        alone, crossed = square[np.arange(count), :, np.arange(count)], crossed.reshape(6 * count, -1)
+        square -= (crossed @ covariance @ crossed.T).reshape(square.shape)
+        scale = 1 / np.sqrt(np.einsum("kii->i", alone))  # radians beside mm
+        slope, square, alone = slope * scale, scale[:, None, None] * square * scale, scale[:, None] * alone * scale
+        # Inverses of what is seen only: a pose more in all views is that of the camera itself.
+        every = slope.ravel() @ np.linalg.pinv(square.reshape(2 * (6 * count,)), UNSEEN, hermitian=True) @ slope.ravel()
+        for k in range(few, count - few + 1):
+            step = np.linalg.pinv(square[k:, :, k:].sum(axis=(0, 2)), UNSEEN, hermitian=True) @ slope[k:].sum(axis=0)
+            gain, freedom = slope[k:].sum(axis=0) @ step, count - 2
+            ratio = gain * freedom / max(every - gain, UNSEEN * abs(gain), np.finfo(float).tiny)
+            shift = np.sqrt(step @ alone[k:].sum(axis=0) @ step / sum(len(one[2]) / 2 for one in own[k:]))
+            found.append((gain, fdtrc(1, freedom, ratio), (camera,) if cameras > 2 else (0, 1), own[k][0], float(shift)))
+    sure = [(gain, *move) for gain, chance, *move in found if chance * len(found) < FALSE_ALARMS]
+    return Moved(*max(sure)[1:]) if sure else None

@@ -2,7 +2,9 @@
 
     x = argmin Σ_c |u_c − p_c(x)|²      over the cameras c that see the mark at u_c, in px through the distorted lenses,
 
-starting from the point nearest to all rays. Axes: C cameras, P points.
+starting from the point nearest to all rays. The noise of the labels is learned: Q, the least squares of a mark in n images, are
+σ² times χ² of 2n − 3 degrees of freedom, so that σ² is first the median of Q over that of χ², then the mean of all Q up to the
+97.5 % quantile over that of χ², again and again (Rousseeuw and Leroy). Axes: C cameras, P points.
 
 Least squares are by Levenberg–Marquardt, P problems of K unknowns each, all at once:
 
@@ -10,7 +12,7 @@ Least squares are by Levenberg–Marquardt, P problems of K unknowns each, all a
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import IntEnum
 
 import numpy as np
@@ -38,11 +40,15 @@ class MarkStatus(IntEnum):
 
 
 MOST = 1e9  # of options: squares of much larger numbers overflow
+FEWEST_MARKS = 10  # from which noise is learned
+WITHIN = 10.0  # Labels have the stated noise to this factor: what scatters more are no labels of these cameras
+BEYOND = 0.025  # share of the marks whose sums of squares are left out where noise is learned
+ODD, SURE = 2.0, 1e-4  # A camera is odd without which labels scatter this much less, and how often by chance
 
 
 @dataclass(frozen=True)
 class TriangulationOptions:
-    """sigma_px   standard deviation of each coordinate of a label, px; covariances are proportional to its square
+    """sigma_px   standard deviation of each coordinate of a label, px, where it cannot be learned
     threshold     the labels of a mark contradict each other if their residuals are as improbable as a normal variable this many
                   standard deviations from its mean; a larger threshold tolerates more
 
@@ -63,31 +69,27 @@ class Points:
     """P triangulated marks."""
 
     position: np.ndarray  # (P, 3) mm, NaN where ``status`` says there is none
-    covariance: np.ndarray  # (P, 3, 3) mm², for labels with the ``sigma_px`` of the options; NaN likewise
+    covariance: np.ndarray  # (P, 3, 3) mm², for labels with the noise ``sigma_px``; NaN likewise
     status: np.ndarray  # (P,) :class:`MarkStatus`
     used: np.ndarray  # (C, P) bool: labels from which the position was computed
     # (C, P) px: distance of each label, also outliers, from the projection of the position; NaN without a label. Of
     # contradictory labels: from the point with the least squared distances to all of them
     residual: np.ndarray
+    label_sigma: float  # px: standard deviation of one coordinate of a label as learned; NaN of too few marks
+    sigma_px: float  # px: that, or the stated one where it cannot be learned
 
     @property
     def valid(self) -> np.ndarray:
         """(P,) bool: marks with a position."""
         return self.status <= MarkStatus.OUTLIER_LEFT_OUT
 
-    @property
-    def label_sigma(self) -> float:
-        """px: standard deviation of one coordinate of a label, estimated from the residuals; NaN without a point."""
-        used = self.used & self.valid
-        freedom = 2 * used.sum() - 3 * self.valid.sum()
-        return float(np.sqrt(np.sum(self.residual[used] ** 2) / freedom)) if freedom > 0 else np.nan
-
 
 def triangulate(rig: Rig, pixels: np.ndarray, options: TriangulationOptions = TriangulationOptions()) -> Points:
     """The points whose projections are ``pixels`` (C, P, 2), NaN where a camera has no label.
 
     Of three labels or more that contradict each other, the one is left out without which the others agree; where several
-    labels could be the outlier, or where only two labels contradict each other, the mark has no position.
+    labels could be the outlier, or where only two labels contradict each other, the mark has no position. All labels of a
+    camera are left out without which those of the others scatter far less.
 
     Raises InputError for fewer than two cameras and for other shapes.
     """
@@ -96,30 +98,79 @@ def triangulate(rig: Rig, pixels: np.ndarray, options: TriangulationOptions = Tr
         raise InputError(rig.source, "cameras", f"{len(rig.cameras)} of them", "triangulation needs two or more")
     if pixels.ndim != 3 or pixels.shape[0] != len(rig.cameras) or pixels.shape[2] != 2:
         raise InputError(rig.source, "pixels", f"shape {pixels.shape}", f"make it ({len(rig.cameras)}, P, 2)")
-    seen = np.isfinite(pixels).all(axis=-1)
+    labelled = np.isfinite(pixels).all(axis=-1)
+    seen, position, cost, learned = _agreeing(rig, pixels, labelled)
+    sigma = float(np.maximum(learned, options.sigma_px / WITHIN)) if learned <= WITHIN * options.sigma_px else options.sigma_px
+    options = replace(options, sigma_px=sigma)
     status = np.where(seen.sum(axis=0) < 2, MarkStatus.FEW_VIEWS, MarkStatus.TRIANGULATED)
-    position, cost = _fitted(rig, pixels, seen)
     used = seen.copy()
-    doubtful = np.flatnonzero((status == MarkStatus.TRIANGULATED) & ~(cost <= _tolerated(seen.sum(axis=0), options)))
+    doubtful = np.flatnonzero((status == MarkStatus.TRIANGULATED) & ~(cost <= sigma**2 * _tolerated(seen, options.threshold)))
     if len(doubtful):
         status[doubtful], used[:, doubtful] = _without_outliers(rig, pixels[:, doubtful], seen[:, doubtful], options)
         again = doubtful[status[doubtful] == MarkStatus.OUTLIER_LEFT_OUT]
         position[again], _ = _fitted(rig, pixels[:, again], used[:, again])
     status[(status == MarkStatus.CONTRADICTORY) & ~np.isfinite(cost)] = MarkStatus.DEGENERATE
+    status[(status == MarkStatus.TRIANGULATED) & (labelled & ~seen).any(axis=0)] = MarkStatus.OUTLIER_LEFT_OUT
     residual = np.linalg.norm(rig.project(position) - pixels, axis=-1)
     good = status <= MarkStatus.OUTLIER_LEFT_OUT
     used[:, ~good] = False
     covariance = np.full((len(status), 3, 3), np.nan)
     normal = _linearised(rig, pixels[:, good], used[:, good], position[good])[1]
-    covariance[good] = options.sigma_px**2 * np.linalg.inv(normal)
-    return Points(np.where(good[:, None], position, np.nan), covariance, status, used, residual)
+    covariance[good] = sigma**2 * np.linalg.inv(normal)
+    return Points(np.where(good[:, None], position, np.nan), covariance, status, used, residual, learned, sigma)
 
 
-def _tolerated(views: np.ndarray, options: TriangulationOptions) -> np.ndarray:
-    """(P,) px²: the largest sum of squares that noise explains: χ² of 2n − 3 degrees of freedom, by Wilson and Hilferty."""
-    freedom = np.maximum(2 * views - 3, 1)
+def _agreeing(rig: Rig, pixels: np.ndarray, seen: np.ndarray):
+    """The labels ``seen`` (C, P) without those of an odd camera, their points and sums of squares as :func:`_fitted`, and px,
+    their scatter."""
+    from scipy.special import fdtri
+
+    best = seen, *_fitted(rig, pixels, seen)
+    square, whole = _scatter(seen, best[2])
+    least = square
+    for camera in range(len(rig.cameras) if np.isfinite(best[2]).sum() >= 2 * FEWEST_MARKS else 0):
+        rest = seen & (np.arange(len(rig.cameras)) != camera)[:, None]
+        fitted = _fitted(rig, pixels, rest)
+        own, left = _scatter(rest, fitted[1])
+        # F: what the camera's labels add to the sum of squares, over the others' scatter.
+        added = max(whole - left, 1)
+        by_chance = (left + added * fdtri(added, max(left, 1), 1 - SURE / len(rig.cameras))) / whole
+        if own < least and square > max(ODD**2, by_chance) * own:
+            best, least = (rest, *fitted), own
+    return *best, float(np.sqrt(least))
+
+
+def label_scatter(rig: Rig, pixels: np.ndarray) -> float:
+    """px, the noise of labels ``pixels`` (C, P, 2) as :func:`triangulate` learns it from all cameras; infinite if it cannot."""
+    seen = np.isfinite(pixels).all(axis=-1)
+    return float(np.nan_to_num(np.sqrt(_scatter(seen, _fitted(rig, pixels, seen)[1])[0]), nan=np.inf))
+
+
+def _scatter(used: np.ndarray, cost: np.ndarray) -> tuple[float, float]:
+    """px², the variance of a coordinate of the labels ``used`` (C, P), by the sums of squares ``cost`` (P,) of marks, but those
+    that rarely are so large at that noise; and their degrees of freedom. NaN and 0 of too few marks."""
+    from scipy.special import chdtr, chdtri
+
+    known = np.isfinite(cost) & (used.sum(axis=0) > 1)
+    if known.sum() < FEWEST_MARKS:
+        return np.nan, 0
+    cost, freedom = cost[known], 2 * used[:, known].sum(axis=0) - 3
+    square, most = float(np.median(cost / chdtri(freedom, 0.5))), chdtri(freedom, BEYOND)
+    expected = freedom * chdtr(freedom + 2, most) / (1 - BEYOND)  # mean of χ² below ``most``
+    for _ in range(MOST_STEPS):
+        kept = cost <= square * most
+        before, square = square, float(cost[kept].sum() / max(expected[kept].sum() - 2, 1))  # −2: errors² over it average 1
+        if square == before:
+            break
+    return square, int(freedom[kept].sum())
+
+
+def _tolerated(used: np.ndarray, threshold: float) -> np.ndarray:
+    """(P,) the largest sum of squares over σ² that noise explains, of marks with the labels ``used`` (C, P): χ² of 2n − 3
+    degrees of freedom, by Wilson and Hilferty."""
+    freedom = np.maximum(2 * used.sum(axis=0) - 3, 1)
     spread = 2 / (9 * freedom)
-    return options.sigma_px**2 * freedom * (1 - spread + options.threshold * np.sqrt(spread)) ** 3
+    return freedom * (1 - spread + threshold * np.sqrt(spread)) ** 3
 
 
 def _without_outliers(rig: Rig, pixels: np.ndarray, seen: np.ndarray, options: TriangulationOptions):
@@ -140,7 +191,7 @@ def _without_outliers(rig: Rig, pixels: np.ndarray, seen: np.ndarray, options: T
             cost[camera, there] = np.minimum(_fitted(rig, pixels[:, rows[there]], fewer)[1], LARGEST)
         order = np.sort(cost, axis=0)
         used[np.argmin(cost, axis=0), rows] = False
-        agree = order[0] <= _tolerated(used[:, rows].sum(axis=0), options)
+        agree = order[0] <= options.sigma_px**2 * _tolerated(used[:, rows], options.threshold)
         clear = order[1] > order[0] + AMBIGUITY * options.sigma_px**2
         status[rows[agree & clear]] = MarkStatus.OUTLIER_LEFT_OUT
         used[:, rows[agree & ~clear]] = False

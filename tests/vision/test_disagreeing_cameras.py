@@ -10,7 +10,8 @@ import doo_ti as d
 from doo_ti.commands import cameras, doubts
 from doo_ti.vision.board import Board, Views
 from doo_ti.vision.calibration import Sighting, calibrate
-from doo_ti.vision.triangulation import MarkStatus, triangulate
+from doo_ti.vision.marks import Marks, observe
+from doo_ti.vision.triangulation import MarkStatus, TriangulationOptions, triangulate
 from tests.vision.boards import around, poses
 
 BOARD, RIG = Board(9, 6, 10.0), around()
@@ -41,7 +42,7 @@ def test_cameras_at_one_place_and_images_that_fit_far_worse_are_doubted(capsys):
     rig = SimpleNamespace(cameras=(RIG.cameras[0],) * 2)
     rms = np.array([[0.1, 0.12], [0.1, 0.9], [0.11, np.nan]])
     twice = SimpleNamespace(rig=rig, rms=rms, focal_sigma=np.ones((2, 2)), alone=np.full(2, 0.1), overall_rms=0.1,
-                            centre_sigma=np.full((2, 3), 0.1), covered=np.array([0.7, 0.3]))
+                            centre_sigma=np.full((2, 3), 0.1), covered=np.array([0.7, 0.3]), moved=None)
     cameras._doubt_calibration(Views(tuple("abc"), ("left", "right"), {}, "views.csv"), twice)
     said = capsys.readouterr().err
     assert "left and right are 0 mm apart: are their images the same?" in said
@@ -66,6 +67,48 @@ def test_a_world_with_the_axes_of_a_camera_is_said(capsys, up, turned, said):
     camera = camera if turned else replace(camera, rotation=np.eye(3), translation=np.zeros(3))
     doubts.warn_of_axes(SimpleNamespace(up=up, rig="stereo.yml"), d.Rig((camera, RIG.cameras[1])))
     assert ("stereo.yml: the world has the axes of cam0" in capsys.readouterr().err) is said
+
+
+@pytest.mark.parametrize("moved", [0.0, 0.3])
+def test_a_camera_that_moves_between_two_views_is_named(rng, capsys, moved):
+    """Boards that move between images in all views alike are not taken for it."""
+    views, found = 10, seen(rng, 10, 0.2 if moved else 1.0)
+    for one in found:
+        if one.camera == 1 and one.view >= 6:
+            one.pixels[:] += moved * np.array([5.0, 2.0])
+    calibration = calibrate(BOARD.points, found, SIZES, views)
+    cameras._doubt_calibration(Views(tuple("abcdefghij"), RIG.names, {}, "views.csv"), calibration)
+    assert ("cam1 moved before view g" in capsys.readouterr().err) == bool(moved) == (calibration.moved is not None)
+
+
+def labelled(rng, rods: int) -> np.ndarray:
+    """(3, D, 11, 1, 2) px labels of marks on helices of any pitch."""
+    turn = rng.uniform(0.5, 1.5, (rods, 1)) * np.linspace(0, 4, 11) + rng.uniform(0, 6, (rods, 1))
+    points = np.stack([20 * np.cos(turn), 20 * np.sin(turn), np.broadcast_to(np.linspace(-30, 30, 11), turn.shape)], axis=-1)
+    return (RIG.project(points) + rng.normal(0, 0.5, (3, rods, 11, 2)))[:, :, :, None]
+
+
+def said_of(pixels: np.ndarray, capsys) -> str:
+    marks = Marks(tuple(f"p{row}" for row in range(pixels.shape[1])), pixels, "marks.csv")
+    points = triangulate(RIG, pixels.reshape(3, -1, 2))
+    if not cameras._doubt_rig(RIG, marks, points, TriangulationOptions()):
+        cameras._doubt_labels(RIG, marks, points)
+    doubts.say("marks.csv", doubts.exchanged_doubt(observe(marks, points, 8.0)[0]) if points.valid.all() else None)
+    return capsys.readouterr().err
+
+
+def test_what_is_wrong_with_labels_is_named(rng, capsys):
+    pixels = labelled(rng, 6)
+    assert said_of(pixels, capsys) == ""
+    assert "if images had 2 times as many pixels" in said_of(pixels / 2, capsys)
+    assert "if cam0 and cam2 are exchanged" in said_of(pixels[[2, 1, 0]], capsys)
+    assert "px were stated (pairs of cameras" in said_of(pixels + rng.normal(0, 9.0, pixels.shape), capsys)
+    wrong = pixels.copy()
+    wrong[1, 3] = wrong[1, 3, ::-1]
+    assert "observation p3: labels contradict" in (said := said_of(wrong, capsys)) and "most by cam1" in said
+    wrong = pixels.copy()
+    wrong[:, 2, [4, 5]] = wrong[:, 2, [5, 4]]
+    assert "marks 4 and 5 of observation p2 look exchanged" in said_of(wrong, capsys)
 
 
 def test_rays_that_meet_nowhere_end_in_a_status():

@@ -66,6 +66,23 @@ def test_outliers_are_found_and_left_out(rng, cameras):
     assert np.isnan(found.position[wrong[~named]]).all() and np.isnan(found.covariance[wrong[~named]]).all()
 
 
+@pytest.mark.parametrize("cameras", [2, 3, 4])
+@pytest.mark.parametrize("stated", [0.1, 1.0])
+def test_noise_is_learned_whatever_is_stated(rng, cameras, stated):
+    """Squared errors over the sigmas average 1, with a fifteenth of the labels anywhere."""
+    rig, points, pixels = seen(rng, 300, cameras)
+    wrong = rng.random((cameras, 300)) < 1 / 15
+    pixels[wrong] += rng.uniform(20, 60, (wrong.sum(), 1)) * unit_vectors(rng.normal(size=(wrong.sum(), 2)))
+    found = triangulate(rig, pixels, TriangulationOptions(stated))
+    good = found.valid & ~(found.used & wrong).any(axis=0)
+    assert good.mean() > 0.8 and found.sigma_px == found.label_sigma == pytest.approx(NOISE, rel=0.12)
+    error = (found.position - points)[good]
+    square = np.einsum("pi,pij,pj->p", error, np.linalg.inv(found.covariance[good]), error) / 3
+    assert square.mean() == pytest.approx(1, abs=0.2)
+    few = triangulate(rig, pixels[:, :9], TriangulationOptions(stated))
+    assert np.isnan(few.label_sigma) and few.sigma_px == stated
+
+
 def test_few_views_and_rays_that_are_parallel_or_diverge(rng):
     rig, points, pixels = seen(rng, 4)
     pixels[1:, 0] = pixels[:, 1] = np.nan
