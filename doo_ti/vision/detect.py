@@ -50,6 +50,7 @@ from doo_ti.vision.ridge import (
     appearance,
     as_colour,
     between_edges,
+    dull,
     edges_about,
     gradient,
     lab,
@@ -105,6 +106,10 @@ WIDTH_RATIO, FAINTEST = 1.5, 0.4
 """Largest ratio of widths, which differ with depth, and least ratio of mean strengths, of a piece and the most distinct one."""
 
 
+GLINT = 0.5  # widths of a thread that glints within it take at most
+MORE = 1.1  # least ratio of what is found without glints over what is found with them
+
+
 @typed
 def detect(image: np.ndarray, options: DetectionOptions = DetectionOptions()) -> Detection:
     """The thread's centre line in an image with levels from 0 to 255, (H, W) grey or (H, W, 3) in OpenCV's order.
@@ -134,9 +139,19 @@ def _line(image: np.ndarray, look: Appearance, options: DetectionOptions) -> Det
     image = image[top:bottom, left:right]
     small, scale = _halved(image, look.width_px)
     in_small = replace(look, width_px=look.width_px / scale, slope=look.slope * scale)
-    find = {"ridge": _ridge_line, "canny": _canny_line}[options.method]
-    found = in_whole_pixels(find(small, in_small, options.least_contrast, options.shortest_px / scale), scale)
-    if scale > 1 and options.method == "ridge":
+    least = options.least_contrast, options.shortest_px / scale
+    if options.method == "canny":
+        return moved(in_whole_pixels(_canny_line(small, in_small, *least), scale), (left, top))
+    found, count = _ridge_line(small, in_small, *least)
+    if (look.shiny or count != 1) and GLINT * look.width_px >= 2:  # glints may have parted it
+        plain = dull(image, look.polarity, GLINT * look.width_px)
+        whole, _ = _ridge_line(_halved(plain, look.width_px)[0], in_small, *least)
+        more = whole.count > MORE * found.count
+        if look.shiny or more and (not found.count or np.median(
+                cKDTree(whole.points).query(found.points)[0]) <= in_small.width_px / 2):
+            found, image = whole, plain
+    found = in_whole_pixels(_continued(small, found), scale)
+    if scale > 1:
         # Where the line has both edges in the image itself, its middle is between these.
         usual = found.widths == look.width_px
         normal = normal_to(found.direction)
@@ -154,9 +169,9 @@ def _halved(image: np.ndarray, width: float) -> tuple[np.ndarray, float]:
     return image, 2.0**halvings
 
 
-def _ridge_line(image: np.ndarray, look: Appearance, least_contrast: float, shortest_px: float) -> Detection:
-    """As :func:`_canny_line`: ridges at the thread's width, each moved to the middle between the two edges, and what goes on
-    from their ends."""
+def _ridge_line(image: np.ndarray, look: Appearance, least_contrast: float, shortest_px: float) -> tuple[Detection, int]:
+    """As :func:`_canny_line`: ridges at the thread's width, each moved to the middle between the two edges; and the number of
+    pieces that they are in."""
     curvature = Curvature(image, max(SMALLEST_SIGMA, SIGMA_PER_WIDTH * look.width_px))
     certain = max(SURE * curvature.noise(), BAR * least_contrast)
     ridges = curvature.ridges(look.polarity, certain / 2)
@@ -169,8 +184,8 @@ def _ridge_line(image: np.ndarray, look: Appearance, least_contrast: float, shor
     kept = np.flatnonzero(piece)
     kept = kept[_alike(piece[kept], width[kept], ridges.strength[kept])]
     ridges = ridges[kept]
-    found = Detection(ridges.point, ridges.tangent, ridges.strength, look.width_px, look.polarity, image.shape, "ridge")
-    return _continued(image, found)
+    return (Detection(ridges.point, ridges.tangent, ridges.strength, look.width_px, look.polarity, image.shape, "ridge"),
+            len(np.unique(piece[kept])))
 
 
 def _alike(piece: np.ndarray, width: np.ndarray, strength: np.ndarray) -> np.ndarray:

@@ -17,6 +17,7 @@ from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
+from scipy.ndimage import binary_closing
 
 from doo_ti.rod.frames import arc_lengths, normal_to, placed, unit_vectors
 from doo_ti.system.arguments import typed
@@ -42,6 +43,7 @@ LEVEL = 3.0  # Lab: scatter without noise
 DEEPEST, TINGE = 0.6, 6.0
 """In a shadow the levels of an image are those of the background times a factor, of 0.6 or more (a third of the light), and
 differ from that by less than this in Lab."""
+GLINT = 0.5  # widths of a thread that something unlike it takes within: such is filled
 REACH = 2.5  # widths to either side that are looked at
 SMOOTHING_PX = 0.7
 
@@ -185,6 +187,8 @@ class _Field:
     def __init__(self, image: np.ndarray, table: np.ndarray, width: float):
         self.image, self.table, self.sigma = image, table, max(0.8, 0.35 * width)
         self.reach = int(3 * AHEAD * width)
+        side = 2 * int(GLINT * width / 2) + 1
+        self.fill = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (side, side))
         self.corner, self.end = np.zeros(2), np.full(2, -1.0)
 
     def sampled(self, points: np.ndarray, along: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -194,7 +198,7 @@ class _Field:
         edge = np.array(self.image.shape[1::-1]) - 1
         if (np.maximum(low, 0) < self.corner).any() or (np.minimum(high, edge) > self.end).any():
             pixels, corner = window(self.image, (low + high) / 2, self.reach + margin)
-            part = Curvature(likeness(pixels, self.table), self.sigma)
+            part = Curvature(cv2.morphologyEx(likeness(pixels, self.table), cv2.MORPH_CLOSE, self.fill), self.sigma)
             self.maps = cv2.merge([part.xx, part.xy, part.yy]), cv2.merge([part.x, part.y])
             cut = [np.where(at, 0, margin) for at in (corner == 0, corner + pixels.shape[1::-1] > edge)]
             self.origin, self.corner = corner, corner + cut[0]
@@ -271,7 +275,7 @@ def looked(image: np.ndarray, path: np.ndarray, middle: int, line: Line, before:
     ratio = difference / (scatter + LEVEL)
     near = np.flatnonzero(np.abs(offset) <= max(line.width / 2, 0.5))
     top = int(near[np.argmax(ratio[near])])
-    first, last = _edges(ratio, difference, top)
+    first, last = _edges(ratio, difference, top, 2 * int(GLINT * line.width) + 1)
     clear = np.flatnonzero(~shaded[first : last + 1])
     if len(clear):
         first, last = first + int(clear[0]), first + int(clear[-1])
@@ -286,7 +290,7 @@ def looked(image: np.ndarray, path: np.ndarray, middle: int, line: Line, before:
     shift = (offset[first] + offset[last]) / 2 if last > first else 0.0
     inner = np.linspace(offset[first] + 0.2 * width, offset[last] - 0.2 * width, 5) if last > first else offset[[top]]
     colours = usual[np.argmin(np.abs(offset[:, None] - inner), axis=0)]
-    polarity = "light" if usual[top, 0] > (usual[0, 0] + usual[-1, 0]) / 2 else "dark"
+    polarity = "light" if np.median(colours[:, 0]) > (usual[0, 0] + usual[-1, 0]) / 2 else "dark"
     return (replace(line, point=line.point + shift * normal_to(along[middle]), width=max(float(width), 2.0)),
             Look(colours, float(difference[top]), polarity, sound))
 
@@ -310,9 +314,10 @@ def _across(image: np.ndarray, path: np.ndarray, width: float) -> tuple[np.ndarr
     return cv2.remap(pixels, at[..., 0], at[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE), along, offset
 
 
-def _edges(ratio: np.ndarray, difference: np.ndarray, top: int) -> tuple[int, int]:
-    """The first and the last place within the thread around ``top``."""
-    outside = np.flatnonzero(ratio <= min(WITHIN * ratio[top], SURELY_WITHIN))
+def _edges(ratio: np.ndarray, difference: np.ndarray, top: int, glint: int) -> tuple[int, int]:
+    """The first and the last place within the thread around ``top``; of a glint in it there are fewer than ``glint``."""
+    within = ratio > min(WITHIN * ratio[top], SURELY_WITHIN)
+    outside = np.flatnonzero(~(within | binary_closing(within, np.ones(glint))))
     first, last = outside[outside < top].max(initial=-1) + 1, outside[outside > top].min(initial=len(ratio)) - 1
     # The edges, blurred, are where half of the outermost stripe's difference is reached.
     third = max(1, (last - first) // 3)

@@ -196,6 +196,7 @@ SHORTEST = 5.0  # px of a level: shorter pieces are regarded as noise
 SLENDER = 16.0  # px of a level: least length of a slender piece, a few px wide
 BLUR_PX = 4.0  # largest standard deviation of the blur of a thread's edge; edges with more are shading of the background
 LEAST_BALANCE = 0.25  # least ratio of the slopes of a thread's two edges; with less, the line is the border of something else
+WITHIN = 0.8  # least share of a glint that is in the thread
 SAMPLES = 400  # largest number of points where the width is measured
 
 
@@ -207,6 +208,7 @@ class Appearance:
     width_px: float  # median distance between its edges
     slope: float  # grey levels per px of its edges, smoothed by EDGE_SIGMA
     box: tuple[int, int, int, int]  # left, top, right, bottom of the box around it in px, right and bottom exclusive
+    shiny: bool = False  # glints within it are more distinct than it
 
 
 def appearance(image: np.ndarray, polarity: str | None, width_px: float | None, least_contrast: float) -> Appearance | None:
@@ -233,11 +235,27 @@ def appearance(image: np.ndarray, polarity: str | None, width_px: float | None, 
             found.append((2.0**step * (ridges.strength[slender] ** 2).sum(), sign, 2.0**step, ridges, slender))
         if width_px is not None:
             break
-    for score, sign, scale, ridges, slender in sorted(found, key=lambda entry: -entry[0]):
+    found.sort(key=lambda entry: -entry[0])
+    for k, (score, sign, scale, ridges, slender) in enumerate(found):
         look = _measured(image, ridges, slender, sign, scale, width_px) if score > 0 else None
-        if look is not None:
-            return look
+        if look is None:
+            continue
+        for _, other, coarse, around, apart in found[k + 1 :]:  # of a glint the thread that it is in
+            if other == sign or coarse <= scale or not apart.any():
+                continue
+            off = cKDTree(coarse * around.point[apart]).query(scale * ridges.point[slender])[0]
+            if np.average(off <= 1.5 * coarse, weights=ridges.strength[slender] ** 3) >= WITHIN:
+                thread = _measured(dull(image, other, 2 * look.width_px), around, apart, other, coarse, width_px)
+                if thread is not None and thread.width_px > 2 * look.width_px:
+                    return replace(thread, shiny=True)
+        return look
     return None
+
+
+def dull(image: np.ndarray, polarity: str, widest: float) -> np.ndarray:
+    """An image (H, W) of a thread of that polarity without what is unlike it and at most ``widest`` px wide, such as glints."""
+    side = int(widest) // 2 * 2 + 1
+    return cv2.morphologyEx(image, cv2.MORPH_OPEN if polarity == "dark" else cv2.MORPH_CLOSE, np.ones((side, side)))
 
 
 def _measured(image: np.ndarray, ridges: Ridges, slender: np.ndarray, polarity: str, scale: float,

@@ -188,6 +188,17 @@ def test_a_needle_wider_than_its_thread_and_a_glint_within_it(near, parts):
     assert recall > 0.97 and precision > 0.98
 
 
+@pytest.mark.parametrize("width", [24, 48])
+def test_a_shiny_cable_is_found_at_its_middle(width):
+    """It glints along most of its length, beside its middle, and is lighter there than the paper."""
+    curve = wave()
+    glints = [(beside(curve, 0.2 * width)[first:last], (255,) * 3, width // 4) for first, last in ((100, 900), (1100, 1900))]
+    image = drawn((curve, (40, 40, 45), width), *glints, ground=(150, 160, 170))
+    for found in (detect(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)), follow(image, tuple(beside(curve, -0.4 * width)[700]))):
+        assert found.polarity == "dark" and found.width_px == pytest.approx(width, abs=3.0)
+        assert min(shares(found.points, curve, 2.0 + width)[1], shares(found.points, curve[40:-40], 2.0)[0]) > 0.98
+
+
 @pytest.mark.parametrize("width", [12, 48])
 def test_a_wide_thread_is_found_as_exactly_as_a_narrow_one(width):
     """Its two halves differ, as lit from one side: the middle is between its edges."""
