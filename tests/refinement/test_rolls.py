@@ -104,7 +104,7 @@ def test_rolls_twists_and_curvature_of_a_linear_model_are_found_together(rng):
     truth = np.concatenate([np.broadcast_to(other, (count, own)), lie, twist[:, None]], axis=1)
     information = 1e4 * np.swapaxes(slopes, 1, 2) @ slopes
     model = rolls.LinearModel(information, -(information @ truth[..., None])[..., 0], 1e-6 * np.eye(own + 2 * knots),
-                         np.zeros(own + 2 * knots), np.zeros(count), np.ones(count, dtype=bool), share)
+                         np.zeros(own + 2 * knots), np.zeros(count), np.ones(count, dtype=bool), share, np.arange(count))
     best = min((model.start(one) for one in rng.uniform(-np.pi, np.pi, (16, count))), key=lambda one: one.value)
     np.testing.assert_allclose(best.twist, twist)
     common = np.exp(1j * (best.roll - roll))  # a common roll of all, with the curvature turned back, changes nothing
