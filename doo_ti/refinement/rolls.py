@@ -243,7 +243,8 @@ def kept(fitted: Fitted, curvature: str) -> Iterator[tuple[Fit, State]]:
     own = np.array(NAMES) == "any_roll"
     scales = replace(scales, typical=np.where(own, KEPT, scales.typical), factor=np.where(own, KEPT_FACTOR, scales.factor),
                      learned=scales.learned | own, hessian=None).given(any_roll=KEPT)
-    for roll in _common_rolls(straight, state):
+    frames = next(straight.unknowns.rod.ends(straight.unknowns.pose(state.values)))[-1]
+    for roll in common_rolls(frames, state.values.theta.up):
         apart = np.angle(np.exp(1j * (ROLLS - roll[model.rows, None])))
         best = model.start(roll[model.rows], ((apart / KEPT) ** 2)[:, None])
         fit = _of_rows(straight, np.arange(len(roll)), roll)
@@ -252,14 +253,13 @@ def kept(fitted: Fitted, curvature: str) -> Iterator[tuple[Fit, State]]:
         yield fit, fit.posed(fit.from_marks(begun, scales))
 
 
-def _common_rolls(fit: Fit, state: State) -> Iterator[np.ndarray]:
-    """(D,) the roll of each observation with which m1 at the start is level; and, where that is another, with which the start's
-    frame is carried from the mean direction."""
-    now = next(fit.unknowns.rod.ends(fit.unknowns.pose(state.values)))[-1]
-    tangent, up = now[..., 0], state.values.theta.up
+def common_rolls(frames: np.ndarray, up: np.ndarray) -> Iterator[np.ndarray]:
+    """(D,) by how much start frames (D, 3, 3) turn about their tangents until m1 is level; and, where that is not the same but
+    for a common turn, until they are that of their mean direction carried to each."""
+    tangent, side = frames[..., 0], frames[..., 1]
     mean = unit_vectors(tangent.mean(axis=0))
     carried = matrix_from_quaternion(smallest_rotation(mean, tangent)) @ across(mean)
-    level, other = (angle_about(tangent, now[..., 1], side) for side in (unit_vectors(np.cross(up, tangent)), carried))
+    level, other = (angle_about(tangent, side, wanted) for wanted in (unit_vectors(np.cross(up, tangent)), carried))
     yield level
     apart = np.exp(1j * (level - other))
     if np.abs(np.angle(apart / apart.mean())).max() > KEPT:

@@ -15,6 +15,7 @@ from doo_ti.refinement.evidence import Evidence, densities, integrated
 from doo_ti.refinement.fit import Fit, Fitted
 from doo_ti.refinement.held_rod import POSE
 from doo_ti.refinement.rolls import COPIES, NODES, WINDOW, at_all_rolls, most_probable
+from doo_ti.rod.frames import across, some_frames, turned_about_tangent, unit_vectors
 from doo_ti.rod.start import start_configuration
 from tests.refinement.rods_between_clips import TRUTH, assert_gradient, bare, held, model, suture
 from tools.studies.marks_study.specimens import clamps, drawn
@@ -110,6 +111,17 @@ def test_rolls_twists_and_curvature_of_a_linear_model_are_found_together(rng):
     common = np.exp(1j * (best.roll - roll))  # a common roll of all, with the curvature turned back, changes nothing
     assert np.abs(common - common.mean()).max() < 0.2
     assert np.linalg.norm(best.curvature) == pytest.approx(np.linalg.norm(curvature), rel=0.05)
+
+
+def test_one_roll_is_level_or_carried_from_the_mean_direction(rng):
+    tangent = unit_vectors(rng.normal(size=(9, 3)) + [2.0, 0.0, 0.0])
+    frames, mean = some_frames(tangent), unit_vectors(tangent.mean(axis=0))
+    level, carried = (turned_about_tangent(frames, roll)[..., 1] for roll in rolls.common_rolls(frames, np.eye(3)[2]))
+    np.testing.assert_allclose(level[:, 2], 0.0, atol=1e-12)
+    axis = unit_vectors(np.cross(mean, tangent))  # of a shortest rotation, along which nothing changes
+    np.testing.assert_allclose((carried * axis).sum(axis=1), axis @ across(mean), atol=1e-12)
+    in_one_plane = some_frames(unit_vectors(tangent * [1.0, 0.0, 1.0]))
+    assert len(list(rolls.common_rolls(in_one_plane, np.eye(3)[2]))) == 1
 
 
 def of_marks(cable: Path, folder: Path, factor: float = 1.0) -> tuple[float, np.ndarray]:
