@@ -18,7 +18,8 @@ from doo_ti.refinement.rolls import COPIES, NODES, WINDOW, at_all_rolls, most_pr
 from doo_ti.rod.frames import across, some_frames, turned_about_tangent, unit_vectors
 from doo_ti.rod.start import start_configuration
 from tests.refinement.rods_between_clips import TRUTH, assert_gradient, bare, held, model, suture
-from tools.studies.marks_study.specimens import clamps, drawn
+from tools.studies.marks_study.rod import equilibria, points, turned
+from tools.studies.marks_study.specimens import clamps, drawn, frame_along
 
 
 @pytest.fixture(scope="module")
@@ -179,3 +180,19 @@ def test_curved_rods_that_roll_freely_are_not_taken_for_soft_straight_ones(rng):
     bend = found.estimate.parameter("bend")
     assert found.swivels and found.converged and bend.low < BEND < bend.high < 2 * bend.low
     assert np.sqrt((found.theta.rest_curvature**2).sum(axis=1).mean()) == pytest.approx(CURVATURE, rel=0.25)
+
+
+@pytest.mark.thorough
+def test_curled_rods_that_keep_their_roll_are_not_taken_for_stiff_ones():
+    """A continuum rod, its clips moved and tilted in one vertical plane. Were it free to roll, EI would be a quarter higher."""
+    rng, s, poses, load, length = np.random.default_rng(1), points(30).s, 20, 45.0, 500.0
+    frames = (frame_along(np.stack([np.cos(a), 0 * a, np.sin(a)], axis=-1)) for a in rng.uniform(-0.3, 0.3, (3, poses)))
+    first, last, chord = (one @ turned(np.array([-1.25, 0.0, 0.0])) for one in frames)
+    span, curved = rng.uniform(0.6, 0.9, (poses, 1)) * chord[..., 0], np.outer(1.1 - 0.3 * np.cos(3 * s), [0.0, 1.0, 0.0])
+    rods, right = equilibria(30, 0.8, np.tile([0.0, 0.0, load], (poses, 1)), first, span, last, curved, np.ones(31))
+    places, bend = length * rods.points_at(np.linspace(0.02, 0.98, 13))[right], 2 * length**3 / load
+    seen = Observations(places + 0.15 * rng.normal(size=places.shape), rest_length=np.full(12, 0.08 * length))
+    begun, options = Theta(1.5 * bend * np.eye(2), 1.2 * bend), RefinementOptions(stiffness="uniform")
+    found = refine(seen, observation_clamps(seen), begun, options)
+    low, high = found.estimate.parameter("bend").low, found.estimate.parameter("bend").high
+    assert found.converged and not found.swivels and found.estimate.scales["any_roll"] < 0.2 and low < bend < high < 2 * low
