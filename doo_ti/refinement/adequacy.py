@@ -29,7 +29,7 @@ from doo_ti.refinement.evidence import Evidence
 from doo_ti.refinement.fit import EXACT, ODD, Fit, Fitted, State
 from doo_ti.refinement.held_rod import POSE
 from doo_ti.refinement.residuals import Comparison
-from doo_ti.refinement.rolls import most_probable
+from doo_ti.refinement.rolls import WINDOW, most_probable
 from doo_ti.refinement.search import behind
 from doo_ti.refinement.unknowns import LOGARITHMIC, Unknowns, Values
 from doo_ti.rod.observations import Observations
@@ -287,7 +287,7 @@ def _best_order(fitted: Fitted, row: int, usual: float) -> Mislabelled | None:
         comparison = Comparison.of(replace(fit.unknowns, rod=held), fit.comparison.directors is not None)
         among = replace(fit, comparison=replace(comparison, correction=fit.comparison.correction[same]))
         values = replace(state.values, scatter=np.zeros((len(rows), POSE)))
-        return among, among.from_marks(values, state.scales)
+        return among, among.from_marks(values, state.scales.given(any_roll=max(state.scales["any_roll"], WINDOW)))
 
     def squares(one: Fit, now: State) -> np.ndarray:
         return np.where(now.sound, one.mean_squares(now.residuals), np.inf)

@@ -197,7 +197,7 @@ class Evidence:
         """(H,) how many squares each learned size is the mean of; the range is not one, and is not changed here."""
         rods = float(self.share.sum())
         turns = self.unknowns.rod.pose_scales.count("turn_scatter")
-        counts = {"turn": 2 * turns, "turn_scatter": turns * rods, "gap": 3 * GAP_MODES * rods}
+        counts = {"turn": 2 * turns, "turn_scatter": turns * rods, "any_roll": rods, "gap": 3 * GAP_MODES * rods}
         for field in self.unknowns.fields:
             counts |= {field.name: len(self.unknowns.columns(field.name)), field.range: np.inf}
         counts |= {kind.scale: max(kind.count, 1.0) for kind in self.moments}

@@ -11,7 +11,7 @@ from doo_ti.refinement.fit import Fit
 from doo_ti.refinement.held_rod import POSE, HeldRod
 from doo_ti.refinement.refine import Refinement, RefinementOptions, refine, unknowns_of
 from doo_ti.refinement.residuals import Comparison
-from doo_ti.refinement.rolls import at_all_rolls
+from doo_ti.refinement.rolls import WINDOW, at_all_rolls
 from doo_ti.refinement.theta import Theta
 from doo_ti.rod.observations import Observations
 from doo_ti.rod.types import Clamps
@@ -81,11 +81,12 @@ def _predicted(found: Refinement, observations: Observations, clamps: Clamps, op
         unknowns = replace(unknowns, curvature="none")
     unknowns = replace(unknowns, uneven=len(found.estimate.values.stiffness) > 0)
     fit = Fit(Comparison.of(unknowns, options.frame_weight > 0), found.estimate.values, options.solver)
+    scales = found.estimate.scales
     if rod.rolled_together and len(unknowns.knots):
-        fit = at_all_rolls(fit)
+        fit, scales = at_all_rolls(fit), scales.given(any_roll=WINDOW)
     rod = fit.unknowns.rod
     values = replace(found.estimate.values, scatter=np.zeros((rod.observations.count, POSE)))
-    state = fit.posed(fit.from_marks(values, found.estimate.scales))
+    state = fit.posed(fit.from_marks(values, scales))
     sound, lengths = state.sound, unknowns.lengths(values)
     distance = rod.distance(rod.marks(state.solution, lengths), state.solution, lengths, options.frame_weight)
     least = rod.by_observation(np.where(sound, fit.mean_squares(state.residuals), np.inf)).argmin(axis=1)

@@ -241,8 +241,7 @@ class HeldRod:
         return relax(begin, material, clamps, replace(solver, first_shift=0.0), up=up, **self.around(lengths))
 
     def around(self, lengths: Lengths, rows: np.ndarray | None = None) -> dict:
-        """Arguments of :func:`doo_ti.relaxation.relax.relax`: what the rods touch, and what hangs at their marks. Derivatives
-        take bodies for fixed to the mesh, which slides along the rod a little as its lengths change."""
+        """Arguments of :func:`doo_ti.relaxation.relax.relax`: what the rods touch, and what hangs at their marks."""
         touched = (self.surroundings if rows is None else self.surroundings.take(rows)).arguments
         if self.loads is None:
             return touched

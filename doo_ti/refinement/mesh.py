@@ -43,6 +43,11 @@ class Lengths:
         """(M,) arc length of the marks from the first one, mm."""
         return np.concatenate([[0.0], np.cumsum(self.spacing)])
 
+    @property
+    def mark_slope(self) -> np.ndarray:
+        """(M, M − 1) its derivatives by the logarithms of the spacings, mm."""
+        return np.tri(len(self.mark_place), len(self.spacing), -1) * self.spacing
+
 
 @dataclass(frozen=True)
 class Mesh:

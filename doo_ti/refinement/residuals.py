@@ -19,9 +19,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from doo_ti.refinement.held_rod import POSE
-from doo_ti.refinement.mesh import GEOMETRY, Lengths, Mesh
+from doo_ti.refinement.mesh import GEOMETRY, Lengths, Mesh, values_at
 from doo_ti.refinement.theta import Scales
 from doo_ti.refinement.unknowns import ALONG, CLIPS, Unknowns, Values
+from doo_ti.relaxation.pullback import pullback
 from doo_ti.relaxation.sensitivity import STIFFNESS_MODES, sensitivity
 from doo_ti.rod.types import Clamp, Solution
 
@@ -124,7 +125,9 @@ class Comparison:
         """The linear model around ``values``, all effects zero, of the rods ``used`` (D,) bool; and the rods in it (D,) bool:
         those with derivatives, without those about to snap if ``leave_out_soft``. Without ``shared`` it has the effects alone,
         P = 0, at a fraction of the time."""
-        parts = [self._derivatives(solution, values, slice(first, min(first + RODS_AT_ONCE, len(used))), shared)
+        loaded = shared and self.unknowns.rod.loads is not None
+        bodies = self._by_bodies(solution, values) if loaded else np.zeros((len(used), 1, 1, 1))
+        parts = [self._derivatives(solution, values, slice(first, min(first + RODS_AT_ONCE, len(used))), shared, bodies)
                  for first in range(0, len(used), RODS_AT_ONCE)]
         kinds = [tuple(np.concatenate(pieces) for pieces in zip(*kind, strict=True))
                  for kind in zip(*(of_kinds for of_kinds, _ in parts), strict=True)]
@@ -169,9 +172,23 @@ class Comparison:
         modes = (np.sin(waves) if start else np.cos(waves)) / k**2
         return np.einsum("mg,ab->magb", modes, np.eye(3)).reshape(-1, 3 * GAP_MODES)
 
-    def _derivatives(self, solution: Solution, values: Values, rows: slice, shared: bool):
+    def _by_bodies(self, solution: Solution, values: Values) -> np.ndarray:
+        """(D, M, 3, GEOMETRY + M − 1) derivatives of the marks by lengths and spacings, because bodies stay at their marks
+        as the mesh slides along the rod: weight passes from one vertex to the next, which pulls. The gradient of a pull's work
+        by forces is how a rod moves under that pull."""
+        lengths, (_, mesh), loads = self.unknowns.lengths(values), self.unknowns.modes(values), self.unknowns.rod.loads
+        by_place = np.concatenate([mesh.slide(lengths.mark_place), lengths.mark_slope / mesh.edge], axis=1)
+        weights, slopes = mesh.at(lengths.mark_place)[0], values_at(lengths.mark_place, mesh.place)[1] * mesh.edge
+        found = np.zeros((*self.weight.shape, 3, by_place.shape[1]))
+        for mark in np.flatnonzero(loads.any(axis=0)):
+            pull = -loads[:, mark, None, None] * slopes[mark][:, None] * values.theta.up
+            moved = np.nan_to_num(pullback(solution, pull, ("forces",))["forces"])
+            found += (weights @ moved)[..., None] * by_place[mark]
+        return found
+
+    def _derivatives(self, solution: Solution, values: Values, rows: slice, shared: bool, bodies: np.ndarray):
         """(J, Z) of each kind, Z without the gap, and usable (R,) bool, of the R rods ``rows``; J without columns if not
-        ``shared``."""
+        ``shared``. ``bodies``: see :meth:`_by_bodies`; directors do not follow these."""
         unknowns, among = self.unknowns, bool(self.unknowns.rod.surroundings)
         (elementary, chain), (modes, mesh) = unknowns.chain(values), unknowns.modes(values)
         of_poses = ("start_shift", *OF_POSES) if among else OF_POSES
@@ -186,24 +203,24 @@ class Comparison:
         lengths, shape = unknowns.lengths(values), found.configuration
         moved, turned = (slopes[:, rows] for slopes in unknowns.rod.clamp_slopes(lengths, unknowns.pose(values)))
         by_clamps = np.concatenate([*(moved if among else [moved[1] - moved[0]]), *turned], axis=1)
-        place, spacing = lengths.mark_place, lengths.spacing
-        slope = np.tri(len(place), len(spacing), -1) * spacing
+        place, slope = lengths.mark_place, lengths.mark_slope
         # Arc lengths of X places, their derivatives by the logarithms of the marks' spacings, weights of the interpolation
-        # there and their derivatives by u, the vectors on the mesh (R, ·, 3), their derivatives, and the displacement of the
-        # start, which carries the whole rod along.
-        quantities = [(place, slope, mesh.at(place), shape.vertices, found.vertices, 0.0 * moved[0] if among else moved[0])]
+        # there and their derivatives by u, the vectors on the mesh (R, ·, 3), their derivatives, the displacement of the start,
+        # which carries the whole rod along, and what bodies add.
+        quantities = [(place, slope, mesh.at(place), shape.vertices, found.vertices, 0.0 * moved[0] if among else moved[0],
+                       bodies[rows])]
         if self.directors is not None:
             place, slope = (0.5 * (ends[1:] + ends[:-1]) for ends in (place, slope))
             quantities.append((place, slope, mesh.at_edges(place), shape.frames[..., 1], found.directors,
-                               np.zeros_like(moved[0])))
+                               np.zeros_like(moved[0]), 0.0))
         kinds = []
-        for place, slope, (weights, turns), present, changes, carried in quantities:
+        for place, slope, (weights, turns), present, changes, carried, more in quantities:
             flat = np.where(np.isnan(changes), 0.0, changes).reshape(*changes.shape[:2], -1)
             at = (weights @ flat).reshape(len(flat), len(weights), 3, -1)
             poses = at[..., -by_clamps.shape[1] :] @ by_clamps[:, None] + carried[:, None]
             effects = poses[..., :0] if unknowns.rod.exact else poses[..., GEOMETRY:] * unknowns.rod.loose
             by_place = np.concatenate([mesh.slide(place), slope / mesh.edge], axis=1)
-            sliding = (turns @ present)[..., None] * by_place[:, None]
+            sliding = (turns @ present)[..., None] * by_place[:, None] + more
             by_unknowns = self._shared(at, poses, sliding, chain, values, mesh, rows) if shared else at[..., :0]
             kinds.append([part.reshape(len(at), 3 * at.shape[1], part.shape[-1]) for part in (by_unknowns, effects)])
         return kinds, found.usable

@@ -1,4 +1,5 @@
-"""Rods that are curved at rest, held by clips whose roll is not known: every roll is tried, and counts with its probability.
+"""Rods that are curved at rest, held by clips whose roll is not known: every roll is tried, and counts with its probability; or
+all have the same; or they roll freely. The evidence decides (:mod:`doo_ti.refinement.search`).
 
 A straight round rod does not say how it was rolled, and marks of a slightly curved one hardly do. So each observation has
 COPIES rows, held at evenly spaced rolls φ_k with a window about each. The density of its marks is that of a mixture,
@@ -19,6 +20,13 @@ J the derivatives by all other shared unknowns x, K those by the rest curvature,
 clamps integrated out. Given φ and θ the best x and κ solve a linear system; given these, φ_d and θ_d are the best of a grid in
 each observation. Taken in turns from random rolls, both soon settle.
 
+Rods that stay in the same clips all have one roll, which were a coincidence if each had its own, and would cost its share in
+every observation. They have a fit of their own, with one row for each observation and start frames that differ by no roll. Two
+ways to move a clip without rolling it are usual: its side stays level, as on a tripod that pans and tilts; or it is carried by
+the shortest rotations (parallel transport) from the mean of its directions, as by an arm that does not turn its last axis. The
+latter also has a meaning about the vertical. Both are tried (:func:`kept`). What the common roll is, κ says. Each observation's
+own is off it by a normal error, whose size is learned with a prior about KEPT; how far the rod is twisted stays free.
+
 A curved rod that rolls freely in what holds it turns to where it has the least energy: its rest curvature then lies as it is
 bent, in all observations alike, and makes it look like a softer straight rod. A fit with rolls that are unknown but held takes
 each of them for a coincidence, so such rods have a fit of their own, without the roll (:func:`swivelling`).
@@ -36,7 +44,7 @@ from doo_ti.refinement.fit import Fit, Fitted, State
 from doo_ti.refinement.held_rod import POSE, TWIST
 from doo_ti.refinement.theta import ANY_TWIST, NAMES, Scales
 from doo_ti.refinement.unknowns import Unknowns
-from doo_ti.rod.frames import rotation_vector, smallest_rotation
+from doo_ti.rod.frames import across, angle_about, matrix_from_quaternion, rotation_vector, smallest_rotation, unit_vectors
 
 ROLLS = np.linspace(-np.pi, np.pi, 48, endpoint=False)
 TWISTS = np.radians(np.arange(-210.0, 211.0, 30.0))
@@ -48,6 +56,7 @@ COPIES = 6  # rolls of each observation that are relaxed, evenly spaced
 NODES = np.linspace(0.0, 2 * np.pi, COPIES, endpoint=False)
 WINDOW = 0.5  # rad, standard deviation of a roll about each of them: together they are uniform to 5 %
 CURVED = (1.0, 0.3, 2.0)  # curvatures times the rod's length with which a rod that rolls freely begins, the likeliest first
+KEPT, KEPT_FACTOR = 0.1, 0.5  # rad, by how much a kept roll varies: median, and standard deviation of its logarithm
 FACTOR = 0.7
 """Standard deviation of the logarithm of such a rod's curvature, about SIZE. Far smaller ones are straight rods, of which there
 is a fit already: to that this one would shrink, past what fits as well."""
@@ -76,13 +85,14 @@ class LinearModel:
     twist: np.ndarray  # (D,) of the straight fit, rad
     counts: np.ndarray  # (D,) bool: the observations that x and κ are fitted to
     share: np.ndarray  # (K,) place of the knots over the rod's length
+    rows: np.ndarray  # (D,) which observations these are
 
-    def start(self, roll: np.ndarray) -> _Start:
-        """The solution that is reached from these rolls (D,)."""
+    def start(self, roll: np.ndarray, of_roll: np.ndarray | float = 0.0) -> _Start:
+        """The solution that is reached from these rolls (D,); ``of_roll`` (D, 1, ROLLS): −2 ln of their prior."""
         twist, value = np.zeros(len(roll)), np.inf
         for _ in range(ROUNDS):
             shared = self._shared(roll, twist)
-            new_roll, new_twist, each = self._each(shared)
+            new_roll, new_twist, each = self._each(shared, of_roll)
             apart = shared + self.offset
             new = float(each[self.counts].sum() + apart @ self.precision @ apart)
             if new > value - 1e-4:
@@ -101,7 +111,7 @@ class LinearModel:
         information[:, first:] = np.swapaxes(turned(np.swapaxes(information[:, first:], 1, 2), angle[:, None]), 1, 2)
         return -np.linalg.solve(information.sum(axis=0) + self.precision, slope.sum(axis=0) + self.precision @ self.offset)
 
-    def _each(self, shared: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def _each(self, shared: np.ndarray, of_roll: np.ndarray | float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """(D,) the best roll and twist of each observation, given (x, κ), and −2 ln of its density then."""
         count, many = len(shared), len(TWISTS)
         first = count - 2 * len(self.share)
@@ -123,7 +133,7 @@ class LinearModel:
         c, s = np.cos(ROLLS), np.sin(ROLLS)
         parts = ((fixed, 1.0), (by_cos, c), (by_sin, s), (diagonal(at_cos, at_cos), c * c),
                  (diagonal(at_sin, at_sin), s * s), (2 * diagonal(at_cos, at_sin), c * s))
-        value = sum(part[..., None] * by for part, by in parts).reshape(len(slope), -1)
+        value = (sum(part[..., None] * by for part, by in parts) + of_roll).reshape(len(slope), -1)
         best = value.argmin(axis=1)
         return ROLLS[best % len(ROLLS)], TWISTS[best // len(ROLLS)], value.min(axis=1)
 
@@ -138,20 +148,26 @@ def turned(rows: np.ndarray, angle: np.ndarray) -> np.ndarray:
 def rolled(fitted: Fitted, curvature: str) -> tuple[Fit, State]:
     """The fit with that kind of rest curvature in which every observation has COPIES rows, and where it begins, from a finished
     fit of straight rods."""
-    fit = fitted.fit
-    straight = replace(fit, comparison=replace(fit.comparison, unknowns=replace(fit.unknowns, curvature=curvature)))
-    unknowns, state = straight.unknowns, fitted.state
-    values = replace(state.values, curvature=np.zeros((len(unknowns.knots), 2)))
-    scales = expected(state.scales, unknowns)
-    model = _linear_model(straight, replace(state, values=values), scales)
+    straight, state, scales, model = _curved(fitted, curvature)
     random = np.random.default_rng(0)
     best = min((model.start(roll) for roll in random.uniform(-np.pi, np.pi, (BEGUN, len(model.slope)))),
                key=lambda one: one.value)
     all_rolls = at_all_rolls(straight)
     scatter = np.repeat(state.values.scatter, COPIES, axis=0)
-    begun = replace(values, scatter=in_turned_frames(scatter, all_rolls.unknowns.rod.rolled),
-                    curvature=best.curvature.reshape(-1, 2) / unknowns.rod.length)
+    begun = replace(state.values, scatter=in_turned_frames(scatter, all_rolls.unknowns.rod.rolled),
+                    curvature=best.curvature.reshape(-1, 2) / straight.unknowns.rod.length)
     return all_rolls, all_rolls.posed(all_rolls.from_marks(begun, scales.given(any_roll=WINDOW)))
+
+
+def _curved(fitted: Fitted, curvature: str) -> tuple[Fit, State, Scales, LinearModel]:
+    """A finished fit of straight rods as one with that kind of rest curvature, of which there is none yet; the sizes that it
+    begins with, and its linear model."""
+    fit = fitted.fit
+    straight = replace(fit, comparison=replace(fit.comparison, unknowns=replace(fit.unknowns, curvature=curvature)))
+    unknowns = straight.unknowns
+    state = replace(fitted.state, values=replace(fitted.state.values, curvature=np.zeros((len(unknowns.knots), 2))))
+    scales = expected(state.scales, unknowns)
+    return straight, state, scales, _linear_model(straight, state, scales)
 
 
 def at_all_rolls(fit: Fit) -> Fit:
@@ -214,7 +230,40 @@ def _linear_model(fit: Fit, state: State, scales: Scales) -> LinearModel:
     counts = state.used[sound] if (state.used & sound).any() else np.ones(int(sound.sum()), dtype=bool)
     return LinearModel(information[sound], slope[sound], precision[np.ix_(order, order)],
                         unknowns.offset(state.values, fit.origin)[order], state.values.scatter[sound, TWIST], counts,
-                        unknowns.knots / unknowns.rod.length)
+                        unknowns.knots / unknowns.rod.length, np.flatnonzero(sound))
+
+
+# --- rods that keep their roll --------------------------------------------------------------------------------------------
+
+
+def kept(fitted: Fitted, curvature: str) -> Iterator[tuple[Fit, State]]:
+    """The fits with that kind of rest curvature in which all observations have nearly one roll, and where each begins, from a
+    finished fit of straight rods: one for each meaning of one roll that the observations tell apart."""
+    straight, state, scales, model = _curved(fitted, curvature)
+    own = np.array(NAMES) == "any_roll"
+    scales = replace(scales, typical=np.where(own, KEPT, scales.typical), factor=np.where(own, KEPT_FACTOR, scales.factor),
+                     learned=scales.learned | own, hessian=None).given(any_roll=KEPT)
+    frames = next(straight.unknowns.rod.ends(straight.unknowns.pose(state.values)))[-1]
+    for roll in common_rolls(frames, state.values.theta.up):
+        apart = np.angle(np.exp(1j * (ROLLS - roll[model.rows, None])))
+        best = model.start(roll[model.rows], ((apart / KEPT) ** 2)[:, None])
+        fit = _of_rows(straight, np.arange(len(roll)), roll)
+        begun = replace(state.values, scatter=in_turned_frames(state.values.scatter, roll),
+                        curvature=best.curvature.reshape(-1, 2) / straight.unknowns.rod.length)
+        yield fit, fit.posed(fit.from_marks(begun, scales))
+
+
+def common_rolls(frames: np.ndarray, up: np.ndarray) -> Iterator[np.ndarray]:
+    """(D,) by how much start frames (D, 3, 3) turn about their tangents until m1 is level; and, where that is not the same but
+    for a common turn, until they are that of their mean direction carried to each."""
+    tangent, side = frames[..., 0], frames[..., 1]
+    mean = unit_vectors(tangent.mean(axis=0))
+    carried = matrix_from_quaternion(smallest_rotation(mean, tangent)) @ across(mean)
+    level, other = (angle_about(tangent, side, wanted) for wanted in (unit_vectors(np.cross(up, tangent)), carried))
+    yield level
+    apart = np.exp(1j * (level - other))
+    if np.abs(np.angle(apart / apart.mean())).max() > KEPT:
+        yield other
 
 
 # --- rods that roll freely ------------------------------------------------------------------------------------------------

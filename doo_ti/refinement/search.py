@@ -22,7 +22,7 @@ from scipy.ndimage import generate_binary_structure, minimum_filter
 from doo_ti.refinement.evidence import integrated
 from doo_ti.refinement.fit import ODD, POSED, ROUGH, Fit, Fitted, State
 from doo_ti.refinement.residuals import Comparison
-from doo_ti.refinement.rolls import bent, rolled, swivelling
+from doo_ti.refinement.rolls import bent, kept, rolled, swivelling
 from doo_ti.refinement.theta import Scales, Theta, common_rod
 from doo_ti.refinement.unknowns import Unknowns, Values
 from doo_ti.rod.grid import Grid
@@ -94,8 +94,10 @@ def searched(unknowns: Unknowns, thetas: Sequence[Theta], clip: np.ndarray, scal
     if straight_first:
         fit, state = rolled(found[0], unknowns.curvature)
         curved = [fit.run(state, steps)]
-        free = _swivelling(found[0], min(found[0], curved[0], key=lambda one: one.rank), unknowns.curvature, steps)
-        found = _ordered(*([found[:1]] if options.curvature == "auto" else []), curved, free)
+        same_roll = _kept(found[0], min(found[0], *curved, key=lambda one: one.rank), unknowns.curvature, steps)
+        best = min(found[0], *curved, *same_roll, key=lambda one: one.rank)
+        free = _swivelling(found[0], best, unknowns.curvature, steps)
+        found = _ordered(*([found[:1]] if options.curvature == "auto" else []), curved, same_roll, free)
     return found
 
 
@@ -128,6 +130,13 @@ def _from_twists(found: list[Fitted], scales: Scales, steps: int) -> list[Fitted
         if alike(found[0], best):
             break
     return found
+
+
+def _kept(straight: Fitted, best: Fitted, curvature: str, steps: int) -> list[Fitted]:
+    """Optima of curved rods that keep their roll, from the fit of straight ones; none where these are far behind ``best``."""
+    tried = [fit.run(state, TRIED_FIRST) for fit, state in kept(straight, curvature)]
+    hopeless = behind(min(tried, key=lambda one: one.rank), best) > HOPELESS
+    return [] if hopeless else [one for one in _continued(tried, steps) if one.converged]
 
 
 def _swivelling(straight: Fitted, best: Fitted, curvature: str, steps: int) -> list[Fitted]:

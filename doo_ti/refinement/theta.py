@@ -15,7 +15,7 @@ marginal likelihood (:mod:`doo_ti.refinement.evidence`).
     gap             amplitude of the smooth displacements that the model does not explain, mm
     any_turn, any_roll, any_twist, any_shift   what is not reported of a clamp's pose in one observation: its direction, its
                     roll, the angle by which the rod is twisted, rad, and its place, mm. So wide that the marks decide; not
-                    learned
+                    learned, except the roll's where it is kept (:func:`doo_ti.refinement.rolls.kept`)
 """
 
 from dataclasses import dataclass, replace
