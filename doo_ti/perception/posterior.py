@@ -152,7 +152,7 @@ def vertex_sigma(rig: Rig, vertices: np.ndarray, sigma_px: float, correlation_px
     vertices                   (A, V, 3) mm: rods at minima of E_vis / B, isotropic and straight at rest
     sigma_px, correlation_px   σ and ℓ of the detection, at least
     scatter                    (A,) px³: Q of :func:`line_scatter`
-    detected                   (A, C S) bool: places of the images where the thread was detected; None: all
+    detected                   (A, C S) of :func:`detected_places`; None: all of the thread was detected
     start_sigma                (A,) mm: the same of the first vertex, before the images are looked at. Where it is zero the
                                first edge is given
     """
@@ -163,7 +163,7 @@ def vertex_sigma(rig: Rig, vertices: np.ndarray, sigma_px: float, correlation_px
     turns = np.stack([first, np.cross(tangents, first)], axis=-1)  # (A, E, 3, 2)
     seen, image_length = _movement_across(rig, vertices, turns, length)
     if detected is not None:
-        image_length = np.where(detected, image_length, 0.0)
+        image_length = image_length * detected
     seen_once = np.swapaxes(seen, -1, -2) @ (image_length[..., None] * seen)
     stiff = bending_hessian(turns, length) / temperature(vertices, vertices.shape[1], STRAIGHT)[:, None, None]
     start = np.broadcast_to(start_sigma, len(vertices))[:, None]
@@ -200,12 +200,12 @@ def _kinks(tangents: np.ndarray, length: np.ndarray) -> np.ndarray:
 def _unseen_ends(detected: np.ndarray, length: np.ndarray, vertices: np.ndarray, free: np.ndarray) -> np.ndarray:
     """(A, V) mm by which vertices beyond the places that two cameras show are aside if the rod bends there to one side, as much
     as on average; at its start where that is ``free`` (A, 1). H_E has it bend now to this side, now to that."""
-    arc = np.pad(np.cumsum(length, axis=1), ((0, 0), (1, 0)))
-    places = (arc[:, :-1, None] + PLACES * length[..., None]).reshape(len(arc), -1)
-    shown = detected.reshape(len(arc), -1, places.shape[1])
-    shown = shown.sum(axis=1) >= min(2, shown.shape[1])
-    first, last = np.where(shown, places, np.inf).min(axis=1), np.where(shown, places, 0.0).max(axis=1)
-    before = np.where(free, np.maximum(np.minimum(first, arc[:, -1])[:, None] - arc, 0.0), 0.0)
+    arc, half = np.pad(np.cumsum(length, axis=1), ((0, 0), (1, 0))), np.repeat(0.5 * length, 2, axis=1)
+    end = np.cumsum(half, axis=1)  # of what is around each place
+    shown = np.sort(detected.reshape(len(arc), -1, half.shape[1]), axis=1)[:, -2:].min(axis=1)
+    first = np.where(shown > 0, end - shown * half, arc[:, -1:]).min(axis=1)
+    last = np.where(shown > 0, end - (1 - shown) * half, 0.0).max(axis=1)
+    before = np.where(free, np.maximum(first[:, None] - arc, 0.0), 0.0)
     beyond = np.maximum(arc - last[:, None], 0.0)
     curvature = np.sqrt(temperature(vertices, vertices.shape[1], STRAIGHT) / length.mean(axis=1))
     return 0.5 * curvature[:, None] * np.maximum(before, beyond) ** 2
@@ -258,25 +258,19 @@ def shown_length(rods: Configuration, rig: Rig, detections: Sequence[Sequence[De
 
 
 def detected_places(rig: Rig, vertices: np.ndarray, pieces: int, detections: Sequence[Sequence[Detection]]) -> np.ndarray:
-    """(A, C S) bool: places of the images of rods ``vertices`` (A, V, 3), whose edges are cut into ``pieces``, that have a
-    detected point of like direction near them, :func:`inside_ends`, of a line as wide as the thread, and are not
+    """(A, C S): the share that was detected of the image around each place of rods ``vertices`` (A, V, 3), whose edges are cut
+    into ``pieces``: points of like direction are near, of a line as wide as the thread, :func:`inside_ends` and not
     :func:`contradicted`."""
-    image = np.nan_to_num(rig.project(vertices).swapaxes(0, 1), nan=-1e6)
-    edge = np.arange((vertices.shape[1] - 1) // pieces)[:, None]
-    place = pieces * (edge + PLACES).ravel()
-    before = np.minimum(place.astype(int), vertices.shape[1] - 2)
-    step = np.diff(image, axis=2)[:, :, before]
-    at = image[:, :, before] + (place - before)[:, None] * step
-    lines = line_trees(detections)
-    found = lines_at(at, step, lines)[2]
-    at, found = at.reshape(*at.shape[:2], -1, len(PLACES), 2), found.reshape(*at.shape[:2], -1, len(PLACES))
+    (places, ways), lines = _images_of_places(rig, vertices), line_trees(detections)
     width = np.nan_to_num([[[detection.width_px] for detection in images] for images in detections])
-    shown = found & inside_ends(at, found, width, np.zeros(len(at), dtype=bool)) & ~contradicted(at, found, lines)[:, None]
+    found = lines_at(places, ways, lines)[2]
+    shown = found & inside_ends(places, found, width, np.zeros(len(found), dtype=bool))
+    shown &= ~contradicted(places, found, lines)[:, None]
     for row, c in np.ndindex(found.shape[:2]):
         wide = detections[row][c].points[detections[row][c].widths > WIDER * detections[row][c].width_px]
         if len(wide):
-            shown[row, c] &= cKDTree(wide).query(at[row, c])[0] > NEAR_PX
-    return shown.reshape(len(vertices), -1)
+            shown[row, c] &= cKDTree(wide).query(places[row, c])[0] > NEAR_PX
+    return shown.reshape(len(shown), -1, pieces).mean(axis=-1)
 
 
 def bending_hessian(turns: np.ndarray, length: np.ndarray) -> np.ndarray:
