@@ -11,8 +11,9 @@ found anew which point is whose, and with r, how far place k is off its line, th
 a place is free, but the last place of the rod moves no farther than the line is wide, else rods would fold in depth between
 cameras close together. A start that is not exact is free as well: only its place along the line is held, as firmly as ends of
 lines are found. Places without points of their direction near them have no weight: the rod's stiffness alone bridges gaps. Nor
-have those nearer to a line's end than it is wide, where edges of what holds the thread draw it aside, and those where the line
-of some camera leaves the rod: the end of a rod longer than its lines else folds in depth, on the lines of other cameras.
+have those nearer to a line's end than it is wide, where edges of what holds the thread draw it aside, those beyond, on lines
+far wider than the thread, and those where the line of some camera leaves the rod: the end of a rod longer than its lines else
+folds in depth, on the lines of other cameras.
 
 Around that rod the Laplace approximation has
 
@@ -99,7 +100,8 @@ def sharpened(rods: Configuration, rig: Rig, detections: Sequence[Sequence[Detec
         off, along = ((places - points) * square).sum(axis=-1), tangents[LAST]
         weight /= (1 + (off / MERGED_PX) ** 2) ** 2
         weight *= ~contradicted(places, found, [lines[row] for row in moving])[:, None]
-        within = inside_ends(places, found, width[moving], exact[moving])
+        thin = found & _as_thin(places, [detections[row] for row in moving])
+        within = inside_ends(places, thin, width[moving], exact[moving])
         slid = ((places[LAST] - given[moving][LAST]) * along).sum(axis=-1, keepdims=True)
         too_far, limit = np.abs(slid) > width[moving], given[moving][LAST] + width[moving] * np.sign(slid) * along
         within[LAST] |= too_far[..., 0]
@@ -122,9 +124,25 @@ def sharpened(rods: Configuration, rig: Rig, detections: Sequence[Sequence[Detec
         if not len(moving):
             break
     new = Configuration(start, quaternions, rods.rest_length)
-    before, after = (coverage(rig, shape.vertices, every, detections, NEAR_PX).share for shape in (rods, new))
+    of_thread = [[found.take(~_far_wider(found)) for found in images] for images in detections]
+    before, after = (coverage(rig, shape.vertices, every, of_thread, NEAR_PX).share for shape in (rods, new))
     sound &= (after >= np.minimum(before, COVERED)).all(axis=1)
     return put_rods(rods, sound, new.take(sound)), sound
+
+
+def _as_thin(places: np.ndarray, detections: Sequence[Sequence[Detection]]) -> np.ndarray:
+    """(A, C, E, K) bool: places near no line that is far wider than the thread, as what holds it is."""
+    thin = np.ones(places.shape[:-1], dtype=bool)
+    for row, c in np.ndindex(thin.shape[:2]):
+        wide = detections[row][c].points[_far_wider(detections[row][c])]
+        if len(wide):
+            thin[row, c] = cKDTree(wide).query(places[row, c])[0] > NEAR_PX
+    return thin
+
+
+def _far_wider(detection: Detection) -> np.ndarray:
+    """(N,) bool: points of a line that is no thread, or one in a glint."""
+    return detection.widths > WIDER * detection.width_px
 
 
 def temperature(vertices: np.ndarray, marks: int, least_turn: float) -> np.ndarray:
@@ -249,7 +267,8 @@ def shown_length(rods: Configuration, rig: Rig, detections: Sequence[Sequence[De
     images = np.nan_to_num(rig.project(rods.vertices), nan=-1e6)
     last = np.zeros(images.shape[:2])
     for c, row in np.ndindex(last.shape):
-        place, far = nearest_place(thinned(detections[row][c])[0], images[c, row])
+        detection = detections[row][c]
+        place, far = nearest_place(thinned(detection.take(~_far_wider(detection)))[0], images[c, row])
         last[c, row] = place[~far].max(initial=0.0)
     end = np.linalg.norm(images[:, :, -1] - images[:, :, -2], axis=-1)
     edges, lengths = np.where(end >= ASIDE * end.max(axis=0), last, 0.0).max(axis=0), np.atleast_2d(rods.rest_length)
@@ -259,17 +278,13 @@ def shown_length(rods: Configuration, rig: Rig, detections: Sequence[Sequence[De
 
 def detected_places(rig: Rig, vertices: np.ndarray, pieces: int, detections: Sequence[Sequence[Detection]]) -> np.ndarray:
     """(A, C S): the share that was detected of the image around each place of rods ``vertices`` (A, V, 3), whose edges are cut
-    into ``pieces``: points of like direction are near, of a line as wide as the thread, :func:`inside_ends` and not
+    into ``pieces``: points of like direction are near, :func:`inside_ends` of what is as thin as the thread, and not
     :func:`contradicted`."""
     (places, ways), lines = _images_of_places(rig, vertices), line_trees(detections)
     width = np.nan_to_num([[[detection.width_px] for detection in images] for images in detections])
     found = lines_at(places, ways, lines)[2]
-    shown = found & inside_ends(places, found, width, np.zeros(len(found), dtype=bool))
+    shown = found & inside_ends(places, found & _as_thin(places, detections), width, np.zeros(len(found), dtype=bool))
     shown &= ~contradicted(places, found, lines)[:, None]
-    for row, c in np.ndindex(found.shape[:2]):
-        wide = detections[row][c].points[detections[row][c].widths > WIDER * detections[row][c].width_px]
-        if len(wide):
-            shown[row, c] &= cKDTree(wide).query(places[row, c])[0] > NEAR_PX
     return shown.reshape(len(shown), -1, pieces).mean(axis=-1)
 
 
