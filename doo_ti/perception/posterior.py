@@ -104,7 +104,7 @@ def sharpened(rods: Configuration, rig: Rig, detections: Sequence[Sequence[Detec
         within = inside_ends(places, thin, width[moving], exact[moving])
         slid = ((places[LAST] - given[moving][LAST]) * along).sum(axis=-1, keepdims=True)
         too_far, limit = np.abs(slid) > width[moving], given[moving][LAST] + width[moving] * np.sign(slid) * along
-        within[LAST] |= too_far[..., 0]
+        within[LAST] |= too_far[..., 0] & thin[LAST]
         weight *= within
         points[LAST] = np.where(too_far, limit, points[LAST])  # a place whose tangent is across the line is held along it
         tangents[LAST] = np.where(too_far, square[LAST], along)
