@@ -20,7 +20,7 @@ from doo_ti.vision.images import read_image
 MARGIN_PX = 60  # of the distance maps around what was detected
 MOST_MAP_BYTES = 1 << 29  # of the distance maps held at once
 LEAST_SIGMA_MM = 1e-3  # stated for vertices that the seed gives: no observation is exact
-LEFT_OVER = 0.02  # share of the rod's length; less is not mentioned
+LEFT_OVER = 0.02  # share of the rod's length by which the thread has another; less is not mentioned
 OUTSIDE = 0.01  # share of the thread outside the other images that is worth saying
 MOST_LISTED = 60
 MISREAD = {"skipped": "leaves out a piece {:.0f} widths long", "twice": "runs along itself for {:.0f} widths",
@@ -332,7 +332,7 @@ def _set_text(entry: dict, cameras: tuple[str, ...]) -> str:
               if share > OUTSIDE]
     if np.isfinite(entry["length_range_mm"]).all():
         parts.append("length found, {:.4g} to {:.4g} mm".format(*entry["length_range_mm"]) + " at a bound" * entry["bounded"])
-    if np.isfinite(entry["thread_length_mm"]):
+    if abs(entry["thread_length_mm"] / entry["length_mm"] - 1) > LEFT_OVER:
         parts.append(f"the thread is {entry['thread_length_mm']:.4g} mm long")
     if entry["left_over_mm"] > LEFT_OVER * entry["length_mm"]:
         parts.append(f"{entry['left_over_mm']:.3g} mm of thread left over")

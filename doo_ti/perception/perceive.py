@@ -80,8 +80,7 @@ class Perception:
     hidden            (A, C) share of its image that is far from the detection there, while two other cameras see it
     status            (A,) Status of its last relaxation
     stable            (A,) bool: certified to be a minimum of E_vis
-    sigma             (A, V) mm: uncertainty of its vertices by noise in the detection
-                      (:mod:`doo_ti.perception.posterior`)
+    sigma             (A, V) mm: uncertainty of its vertices (:mod:`doo_ti.perception.posterior`)
     runner_up         (A, K, V, 3) mm: the next best rods that differ from all better ones; NaN where there are fewer
     runner_up_energy  (A, K) their E_vis, infinite where there are fewer
     gap               (A,) px: E_vis of the best runner-up less that of the best rod, as a mean distance along all images;
@@ -97,10 +96,9 @@ class Perception:
                       camera sees strands behind each other
     wider             (A, C) longest piece of line along the rod that is far wider than the thread, over that width: a needle
                       or what holds it
-    thread_length     (A,) mm from the seed to where the thread ends in the images; NaN where rods were not traced. With rods of
-                      another length, the best is part of the thread, or goes on beyond it
-    left_over         (A,) mm of thread that the rod does not explain: beyond its end or, where rods were not traced, in the
-                      camera where that is most
+    thread_length     (A,) mm from the seed to where the thread ends in the images; NaN where the best rod was not traced and
+                      thread is left over. With rods of another length, the best is part of it, or goes on beyond it
+    left_over         (A,) mm of thread that the rod leaves over: beyond its end or, if not traced, at most in any camera
     length_range      (A, 2) mm: the shortest and the longest thread that explains the images as well; NaN where the length was
                       stated
     """
@@ -285,7 +283,10 @@ def _result(search: Search, kept: Hypotheses, start_sigma: np.ndarray) -> Percep
     ranked = rank_distinct(final.energy_vis, marks, final.of_set, 1 + options.runners_up, options.similar_distance, certified)
     # If all rods of a set failed, one of them is returned with its status.
     best = np.where(ranked[:, 0] >= 0, ranked[:, 0], np.searchsorted(final.of_set, np.arange(len(ranked))))
-    return perception_of(search, final, best, ranked[:, 1:], start_sigma)
+    found = perception_of(search, final, best, ranked[:, 1:], start_sigma)
+    shown, length = search.shown_length(found.configuration), search.rest_length.sum()
+    ends = search.both_ways & ((shown < (1 - CERTAIN_LENGTH) * length) | (found.left_over <= CERTAIN_LENGTH * length))
+    return replace(found, thread_length=np.where(np.isnan(found.thread_length) & ends, shown, found.thread_length))
 
 
 def perception_of(search: Search, final: Finalists, best: np.ndarray, others: np.ndarray, start_sigma: np.ndarray
@@ -305,7 +306,7 @@ def perception_of(search: Search, final: Finalists, best: np.ndarray, others: np
         camera_error = np.einsum("ace,ace->ac", edge_error, seen_length) / seen_length.sum(axis=2)
         sigma = search.sigma(rods, start_sigma)
     errors = misread(search.rig, rods.vertices, search.maps.detections) if search.both_ways else {
-        name: np.zeros(image_length.shape[:2]) for name in ERRORS}
+        **dict.fromkeys(ERRORS, np.zeros(image_length.shape[:2])), "left": np.full(image_length.shape[:2], np.nan)}
     return Perception(
         vertices=rods.vertices[:, :: options.pieces],
         configuration=rods,
@@ -322,9 +323,9 @@ def perception_of(search: Search, final: Finalists, best: np.ndarray, others: np
         edge_error=edge_error,
         unsupported=(edge_error > options.unsupported).all(axis=1),
         coverage=final.coverage[best] / (1 - errors["outside"]),
+        left_over=left_over(final.thread[best], errors.pop("left"), image_length.sum(axis=2), search.rest_length.sum()),
         **errors,
         thread_length=final.thread[best],
-        left_over=left_over(final, best, image_length.sum(axis=2), search.rest_length.sum()),
         length_range=np.full((len(best), 2), np.nan),
     )
 

@@ -10,7 +10,10 @@ found anew which point is whose, and with r, how far place k is off its line, th
 (1 + r²/h²)². So ρ is Geman's and McClure's, as where strands touch or cross their lines merge, a pixel off both. Along the line
 a place is free, but the last place of the rod moves no farther than the line is wide, else rods would fold in depth between
 cameras close together. A start that is not exact is free as well: only its place along the line is held, as firmly as ends of
-lines are found. Places without points of their direction near them have no weight: the rod's stiffness alone bridges gaps.
+lines are found. Places without points of their direction near them have no weight: the rod's stiffness alone bridges gaps. Nor
+have those nearer to a line's end than it is wide, where edges of what holds the thread draw it aside, those beyond, on lines
+far wider than the thread, and those where the line of some camera leaves the rod: the end of a rod longer than its lines else
+folds in depth, on the lines of other cameras.
 
 Around that rod the Laplace approximation has
 
@@ -49,13 +52,14 @@ from scipy.spatial import cKDTree
 from doo_ti.contact.surroundings import Surroundings
 from doo_ti.relaxation.newton import Newton
 from doo_ti.relaxation.relax import relax
-from doo_ti.rod.frames import across, normal_to, unit_vectors
+from doo_ti.rod.frames import across, normal_to
 from doo_ti.rod.shapes import end_clamps
 from doo_ti.rod.types import Clamp, Configuration, Material, Status, put_rods
 from doo_ti.vision.cameras import Rig
 from doo_ti.vision.detection import NEAR_PX, Detection, thinned
-from doo_ti.vision.distance_map import ALIKE, coverage
+from doo_ti.vision.distance_map import ALIKE, WIDER, coverage, nearest_place
 from doo_ti.vision.image_energy import AssignedPoints
+from doo_ti.vision.paths import contradicted, inside_ends, line_trees, lines_at
 
 PLACES = np.array([0.25, 0.75])  # along an edge where its image is evaluated
 RELAXATIONS, STILL_MM = 20, 0.01  # at most, until no vertex moves by more
@@ -65,13 +69,13 @@ LAST = np.s_[:, :, -1, -1]  # of (A, C, E, K) places
 NOISE_PX3 = 0.05  # N, of the usual σ and ℓ; a line's end has the weight N over the variance of where the line ends
 TURNING, STRAIGHT = 2.0, 0.06  # rad that rods turn by at least, for T in ν and for T in the covariance
 FEWEST_CHANGES = 5  # changes of curvature along a rod: of fewer, none is said to be larger than the others
-NEIGHBOURS = 8  # points nearest to a place that are looked at: the nearest may be of a strand that crosses there
 COVERED = 0.95  # share of a detected line with which a rod is one of the whole thread
 ALONG = 1e-3  # share that counts of a distance along the line
 EXACT = 1e-8  # mm² and rad²: variance of a start that is given
 STEP_MM = 1e-3  # step of the difference quotients of the projection
 ROUNDS, LEAST_FREE = 6, 0.2  # rounds in which N and γ are found, and the least share of sections that a rod does not follow
 SECTION_PX = 20.0  # L
+ASIDE = 0.5  # least length of an end's image, over that in another camera, that says where the thread ends
 FEWEST = 10  # points in a section that counts
 
 
@@ -95,8 +99,13 @@ def sharpened(rods: Configuration, rig: Rig, detections: Sequence[Sequence[Detec
         square = tangents[..., ::-1] * [1.0, -1.0]
         off, along = ((places - points) * square).sum(axis=-1), tangents[LAST]
         weight /= (1 + (off / MERGED_PX) ** 2) ** 2
+        weight *= ~contradicted(places, found, [lines[row] for row in moving])[:, None]
+        thin = found & _as_thin(places, [detections[row] for row in moving])
+        within = inside_ends(places, thin, width[moving], exact[moving])
         slid = ((places[LAST] - given[moving][LAST]) * along).sum(axis=-1, keepdims=True)
         too_far, limit = np.abs(slid) > width[moving], given[moving][LAST] + width[moving] * np.sign(slid) * along
+        within[LAST] |= too_far[..., 0] & thin[LAST]
+        weight *= within
         points[LAST] = np.where(too_far, limit, points[LAST])  # a place whose tangent is across the line is held along it
         tangents[LAST] = np.where(too_far, square[LAST], along)
         loose = ~exact[moving]
@@ -115,9 +124,25 @@ def sharpened(rods: Configuration, rig: Rig, detections: Sequence[Sequence[Detec
         if not len(moving):
             break
     new = Configuration(start, quaternions, rods.rest_length)
-    before, after = (coverage(rig, shape.vertices, every, detections, NEAR_PX).share for shape in (rods, new))
+    of_thread = [[found.take(~_far_wider(found)) for found in images] for images in detections]
+    before, after = (coverage(rig, shape.vertices, every, of_thread, NEAR_PX).share for shape in (rods, new))
     sound &= (after >= np.minimum(before, COVERED)).all(axis=1)
     return put_rods(rods, sound, new.take(sound)), sound
+
+
+def _as_thin(places: np.ndarray, detections: Sequence[Sequence[Detection]]) -> np.ndarray:
+    """(A, C, E, K) bool: places near no line that is far wider than the thread, as what holds it is."""
+    thin = np.ones(places.shape[:-1], dtype=bool)
+    for row, c in np.ndindex(thin.shape[:2]):
+        wide = detections[row][c].points[_far_wider(detections[row][c])]
+        if len(wide):
+            thin[row, c] = cKDTree(wide).query(places[row, c])[0] > NEAR_PX
+    return thin
+
+
+def _far_wider(detection: Detection) -> np.ndarray:
+    """(N,) bool: points of a line that is no thread, or one in a glint."""
+    return detection.widths > WIDER * detection.width_px
 
 
 def temperature(vertices: np.ndarray, marks: int, least_turn: float) -> np.ndarray:
@@ -136,39 +161,6 @@ def _images_of_places(rig: Rig, vertices: np.ndarray) -> tuple[np.ndarray, np.nd
     return image[:, :, :-1, None] + PLACES[:, None] * edge, np.repeat(edge, len(PLACES), axis=3)
 
 
-def line_trees(detections: Sequence[Sequence[Detection]]) -> list[list[tuple[np.ndarray, np.ndarray, cKDTree | None]]]:
-    """Of each detection its points (N, 2), about one for each pixel of line, their directions, and a tree to search them; None
-    without any."""
-    lines = [[thinned(detection) for detection in images] for images in detections]
-    return [[(points, direction, cKDTree(points) if len(points) else None) for points, direction in views] for views in lines]
-
-
-def lines_at(places: np.ndarray, ways: np.ndarray, lines: list[list[tuple[np.ndarray, np.ndarray, cKDTree | None]]]
-             ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The detected lines, of :func:`line_trees`, at ``places`` (A, C, …, 2) px of images that run along ``ways`` there: their
-    points and unit tangents (A, C, …, 2), zero where there is none, and (A, C, …) bool: whether a point of like direction is
-    near."""
-    points, tangents = np.zeros((2, *places.shape))
-    found = np.zeros(places.shape[:-1], dtype=bool)
-    for row, c in np.ndindex(places.shape[:2]):
-        seen, direction, tree = lines[row][c]
-        if tree is None:
-            continue
-        way = ways[row, c][..., None, :]
-        apart, nearest = tree.query(places[row, c], NEIGHBOURS)
-        nearest = np.minimum(nearest, len(seen) - 1)
-        cosine = (direction[nearest] * way).sum(axis=-1)
-        alike = (apart <= NEAR_PX) & (np.abs(cosine) >= ALIKE * np.linalg.norm(way, axis=-1))
-        share = (alike / np.maximum(alike.sum(axis=-1, keepdims=True), 1))[..., None]
-        along = (share * np.sign(cosine)[..., None] * direction[nearest]).sum(axis=-2)
-        # Points of a bend lie inside of it, and where their tangents lead outside: the mean of both is on it.
-        ahead = ((places[row, c][..., None, :] - seen[nearest]) * direction[nearest]).sum(axis=-1, keepdims=True)
-        points[row, c] = (share * (seen[nearest] + 0.5 * ahead * direction[nearest])).sum(axis=-2)
-        tangents[row, c] = unit_vectors(along)
-        found[row, c] = alike.any(axis=-1) & along.any(axis=-1)
-    return points, tangents, found
-
-
 # --- its uncertainty -------------------------------------------------------------------------------------------------------
 
 def vertex_sigma(rig: Rig, vertices: np.ndarray, sigma_px: float, correlation_px: float, scatter: np.ndarray | float = 0.0,
@@ -178,7 +170,7 @@ def vertex_sigma(rig: Rig, vertices: np.ndarray, sigma_px: float, correlation_px
     vertices                   (A, V, 3) mm: rods at minima of E_vis / B, isotropic and straight at rest
     sigma_px, correlation_px   σ and ℓ of the detection, at least
     scatter                    (A,) px³: Q of :func:`line_scatter`
-    detected                   (A, C S) bool: places of the images where the thread was detected; None: all
+    detected                   (A, C S) of :func:`detected_places`; None: all of the thread was detected
     start_sigma                (A,) mm: the same of the first vertex, before the images are looked at. Where it is zero the
                                first edge is given
     """
@@ -189,7 +181,7 @@ def vertex_sigma(rig: Rig, vertices: np.ndarray, sigma_px: float, correlation_px
     turns = np.stack([first, np.cross(tangents, first)], axis=-1)  # (A, E, 3, 2)
     seen, image_length = _movement_across(rig, vertices, turns, length)
     if detected is not None:
-        image_length = np.where(detected, image_length, 0.0)
+        image_length = image_length * detected
     seen_once = np.swapaxes(seen, -1, -2) @ (image_length[..., None] * seen)
     stiff = bending_hessian(turns, length) / temperature(vertices, vertices.shape[1], STRAIGHT)[:, None, None]
     start = np.broadcast_to(start_sigma, len(vertices))[:, None]
@@ -207,6 +199,8 @@ def vertex_sigma(rig: Rig, vertices: np.ndarray, sigma_px: float, correlation_px
     kinks = _kinks(tangents, length)
     variance[:, -1] += kinks[:, 1] ** 2
     variance[:, 0] += np.where(start[:, 0] > 0, kinks[:, 0], 0.0) ** 2
+    if detected is not None:
+        variance += _unseen_ends(detected, length, vertices, start > 0) ** 2
     return np.sqrt(np.maximum(variance, 0.0) / 3)
 
 
@@ -219,6 +213,20 @@ def _kinks(tangents: np.ndarray, length: np.ndarray) -> np.ndarray:
         return np.zeros((len(length), 2))
     more = np.maximum(uneven[:, [0, -1]] - uneven[:, 1:-1].max(axis=1)[:, None], 0.0)
     return more * middle[:, [0, -1]] * length[:, [0, -1]]
+
+
+def _unseen_ends(detected: np.ndarray, length: np.ndarray, vertices: np.ndarray, free: np.ndarray) -> np.ndarray:
+    """(A, V) mm by which vertices beyond the places that two cameras show are aside if the rod bends there to one side, as much
+    as on average; at its start where that is ``free`` (A, 1). H_E has it bend now to this side, now to that."""
+    arc, half = np.pad(np.cumsum(length, axis=1), ((0, 0), (1, 0))), np.repeat(0.5 * length, 2, axis=1)
+    end = np.cumsum(half, axis=1)  # of what is around each place
+    shown = np.sort(detected.reshape(len(arc), -1, half.shape[1]), axis=1)[:, -2:].min(axis=1)
+    first = np.where(shown > 0, end - shown * half, arc[:, -1:]).min(axis=1)
+    last = np.where(shown > 0, end - (1 - shown) * half, 0.0).max(axis=1)
+    before = np.where(free, np.maximum(first[:, None] - arc, 0.0), 0.0)
+    beyond = np.maximum(arc - last[:, None], 0.0)
+    curvature = np.sqrt(temperature(vertices, vertices.shape[1], STRAIGHT) / length.mean(axis=1))
+    return 0.5 * curvature[:, None] * np.maximum(before, beyond) ** 2
 
 
 def _vertex_movement(turns: np.ndarray, length: np.ndarray) -> np.ndarray:
@@ -253,16 +261,31 @@ def _movement_across(rig: Rig, vertices: np.ndarray, turns: np.ndarray, length: 
     return across_image.reshape(rods, -1, across_image.shape[-1]), share.reshape(rods, -1)
 
 
+def shown_length(rods: Configuration, rig: Rig, detections: Sequence[Sequence[Detection]]) -> np.ndarray:
+    """(A,) mm from the start of each rod to where the lines along it end, in the camera where that is farthest, of those that
+    do not look along the rod's end."""
+    images = np.nan_to_num(rig.project(rods.vertices), nan=-1e6)
+    last = np.zeros(images.shape[:2])
+    for c, row in np.ndindex(last.shape):
+        detection = detections[row][c]
+        place, far = nearest_place(thinned(detection.take(~_far_wider(detection)))[0], images[c, row])
+        last[c, row] = place[~far].max(initial=0.0)
+    end = np.linalg.norm(images[:, :, -1] - images[:, :, -2], axis=-1)
+    edges, lengths = np.where(end >= ASIDE * end.max(axis=0), last, 0.0).max(axis=0), np.atleast_2d(rods.rest_length)
+    arcs = np.broadcast_to(np.pad(np.cumsum(lengths, axis=1), ((0, 0), (1, 0))), (len(edges), images.shape[2]))
+    return np.array([np.interp(place, np.arange(len(arc)), arc) for place, arc in zip(edges, arcs, strict=True)])
+
+
 def detected_places(rig: Rig, vertices: np.ndarray, pieces: int, detections: Sequence[Sequence[Detection]]) -> np.ndarray:
-    """(A, C S) bool: places of the images of rods ``vertices`` (A, V, 3), whose edges are cut into ``pieces``, that have a
-    detected point of like direction near them."""
-    image = np.nan_to_num(rig.project(vertices).swapaxes(0, 1), nan=-1e6)
-    edge = np.arange((vertices.shape[1] - 1) // pieces)[:, None]
-    place = pieces * (edge + PLACES).ravel()
-    before = np.minimum(place.astype(int), vertices.shape[1] - 2)
-    step = np.diff(image, axis=2)[:, :, before]
-    at = image[:, :, before] + (place - before)[:, None] * step
-    return lines_at(at, step, line_trees(detections))[2].reshape(len(vertices), -1)
+    """(A, C S): the share that was detected of the image around each place of rods ``vertices`` (A, V, 3), whose edges are cut
+    into ``pieces``: points of like direction are near, :func:`inside_ends` of what is as thin as the thread, and not
+    :func:`contradicted`."""
+    (places, ways), lines = _images_of_places(rig, vertices), line_trees(detections)
+    width = np.nan_to_num([[[detection.width_px] for detection in images] for images in detections])
+    found = lines_at(places, ways, lines)[2]
+    shown = found & inside_ends(places, found & _as_thin(places, detections), width, np.zeros(len(found), dtype=bool))
+    shown &= ~contradicted(places, found, lines)[:, None]
+    return shown.reshape(len(shown), -1, pieces).mean(axis=-1)
 
 
 def bending_hessian(turns: np.ndarray, length: np.ndarray) -> np.ndarray:
@@ -304,6 +327,9 @@ def _section_means(image: np.ndarray, detection: Detection) -> np.ndarray:
     along, aside = (off * way[nearest]).sum(axis=1), way[nearest, 0] * off[:, 1] - way[nearest, 1] * off[:, 0]
     near = (np.abs(aside) <= NEAR_PX) & (np.abs((way[nearest] * direction).sum(axis=1)) >= ALIKE)
     near &= (along >= -NEAR_PX) & (along <= length[nearest] + NEAR_PX)
-    section = np.maximum((first[nearest] + along)[near] // SECTION_PX, 0).astype(np.int64)
+    place = first[nearest] + along
+    near &= (place > place[near].min(initial=np.inf) + detection.width_px) & (place < place[near].max(initial=-np.inf)
+                                                                              - detection.width_px)  # as in inside_ends
+    section = np.maximum(place[near] // SECTION_PX, 0).astype(np.int64)
     count = np.bincount(section)
     return np.bincount(section, weights=aside[near])[count >= FEWEST] / count[count >= FEWEST]

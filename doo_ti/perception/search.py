@@ -17,7 +17,7 @@ import numpy as np
 
 from doo_ti.contact.surroundings import Surroundings
 from doo_ti.perception.growth import Hypotheses, sampled_directions, select_hypotheses, suppress_similar
-from doo_ti.perception.posterior import detected_places, line_scatter, vertex_sigma
+from doo_ti.perception.posterior import detected_places, line_scatter, shown_length, vertex_sigma
 from doo_ti.perception.traced import SAME_LENGTH, whole_rods
 from doo_ti.relaxation.newton import Newton
 from doo_ti.relaxation.relax import relax
@@ -216,14 +216,20 @@ class Search:
 
     def sigma(self, rods: Configuration, start_sigma: np.ndarray | float = 0.0) -> np.ndarray:
         """(A, V) mm: uncertainty of the marks of one rod of each set, whose edges are cut into pieces, and whose start is as
-        uncertain as ``start_sigma`` (A,) mm."""
+        uncertain as ``start_sigma`` (A,) mm. Beyond the lines' end a rod may be longer than the thread, or hidden."""
         detections, marks = self.maps.detections, rods.vertices[:, :: self.options.pieces]
         noise = self.options.sigma_px, self.options.correlation_px
         if detections is None:
             return vertex_sigma(self.rig, marks, *noise, start_sigma=start_sigma)
         detected = detected_places(self.rig, rods.vertices, self.options.pieces, detections)
         scatter = line_scatter(self.rig, rods.vertices, detections)
-        return vertex_sigma(self.rig, marks, *noise, scatter, detected, start_sigma)
+        beyond = np.maximum(np.insert(np.cumsum(self.rest_length), 0, 0.0) - self.shown_length(rods)[:, None], 0.0)
+        return np.hypot(vertex_sigma(self.rig, marks, *noise, scatter, detected, start_sigma), beyond / np.sqrt(3))
+
+    def shown_length(self, rods: Configuration) -> np.ndarray:
+        """(A,) mm of one rod of each set, to where the lines end; NaN where detections are unknown."""
+        known = self.maps.detections is not None
+        return shown_length(rods, self.rig, self.maps.detections) if known else np.full(len(rods.start), np.nan)
 
     def seen(self, points: int, nu: float, cap: float) -> Reprojection:
         """ν Σ E_proj in the units of the rod's energy."""
@@ -331,10 +337,8 @@ def _with_traced(search: Search, grown: Finalists, sets: np.ndarray) -> Finalist
     return Finalists(configuration=Configuration.concatenate([part.configuration for part in parts]).take(order), **joined)
 
 
-def left_over(final: Finalists, best: np.ndarray, image_length: np.ndarray, length: float) -> np.ndarray:
-    """(A,) mm of thread that the rods ``best`` of ``length`` mm do not explain. Where the thread's length is not known: px of
-    line at the scale of the rod's image, (A, C) px long, in the camera where that is most."""
-    with np.errstate(invalid="ignore"):
-        unexplained = (1 - final.coverage[best]) * final.line[best] / np.maximum(image_length, 1e-9) * length
-        beyond = np.maximum(final.thread[best] - length, 0.0)
-    return np.where(np.isnan(beyond), unexplained.max(axis=1), beyond)
+def left_over(thread: np.ndarray, left: np.ndarray, image_length: np.ndarray, length: float) -> np.ndarray:
+    """(A,) mm of thread that rods of ``length`` mm do not explain, of a ``thread`` (A,) mm long. Where that is not known: px of
+    line, ``left`` (A, C), at the scale of the rod's image, (A, C) px long, in the camera where that is most."""
+    unexplained = left / np.maximum(image_length, 1e-9) * length
+    return np.where(np.isnan(thread), unexplained.max(axis=1), np.maximum(thread - length, 0.0))

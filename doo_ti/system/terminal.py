@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from subprocess import Popen
 
 LINE_SECONDS = 30.0  # between two lines of a long run whose standard error is no terminal
+COMPILING_SECONDS = 5.0  # that a kernel compiles before a line says so there: kernels that were kept are loaded sooner
 COMPILING = "compiling …"
 INSTALL_RECORDER = "pip install rerun-sdk"
 
@@ -169,6 +170,8 @@ def progress(*, keep: bool = False):
         """Reports in lines where there is no terminal."""
 
         reported = time.monotonic()
+        notice = Timer(0.0, print)  # the one that is to say, once, that kernels are being compiled
+        told = False
 
         def start(self) -> None:
             super().start()
@@ -182,6 +185,16 @@ def progress(*, keep: bool = False):
         def show(self, is_compiling: bool) -> None:
             rate.is_compiling = is_compiling
             self.refresh()
+            self.notice.cancel()
+            if is_compiling and not (console.is_terminal or self.told):
+                self.notice = Timer(COMPILING_SECONDS, self.tell)
+                self.notice.daemon = True
+                self.notice.start()
+
+        def tell(self) -> None:
+            self.told = True
+            print(f"{COMPILING} at its first use on a machine this takes minutes, later no time; then lines say what is done",
+                  file=sys.stderr, flush=True)
 
         def update(self, task_id, **changes) -> None:
             super().update(task_id, **changes)

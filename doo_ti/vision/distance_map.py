@@ -235,16 +235,17 @@ def misread(rig: Rig, vertices: np.ndarray, detections: list[list[Detection]]) -
     skipped  longest piece of the rest of the line that the rod leaves out between its ends, in widths of the thread
     twice    length of the rod's image that passes along another part of it, in widths of the thread
     wider    longest piece of the line along the rod that is far wider than the thread, in widths of the thread
+    left     px of the line that are :func:`left_out`
     """
-    found = {name: np.zeros((len(vertices), len(rig.cameras))) for name in ERRORS}
-    outside, skipped, twice, wider = found.values()
+    found = {name: np.zeros((len(vertices), len(rig.cameras))) for name in (*ERRORS, "left")}
+    outside, skipped, twice, wider, left = found.values()
     for row, rod in enumerate(vertices):
         if not np.isfinite(rod).all():
             continue
         for c, camera in enumerate(rig.cameras):
             detection, image = detections[row][c], np.nan_to_num(camera.project(rod), nan=1e9)
             points = thinned(detection)[0]
-            place, far = _nearest_place(points, image)
+            place, far = nearest_place(points, image)
             between = (place > 0) & (place < len(rod) - 1)  # beyond its ends the rod leaves out nothing
             ray = rays(camera, points)
             there = camera.centre + ray * (camera.depth(rod)[place.astype(int)] / (ray @ camera.rotation[2]))[:, None]
@@ -254,13 +255,14 @@ def misread(rig: Rig, vertices: np.ndarray, detections: list[list[Detection]]) -
                 alone &= ~((np.abs(other.project(there) - middle) <= middle + 0.5).all(axis=1))
             outside[row, c] = (far & alone).mean()
             skipped[row, c] = _longest_piece(points[far & ~alone & between]) / detection.width_px
+            left[row, c] = left_out(points, far & ~alone).sum()
             twice[row, c] = _passed_twice(image) / detection.width_px
             wide = np.unique(np.rint(detection.points[detection.widths > WIDER * detection.width_px]), axis=0)
-            wider[row, c] = _longest_piece(wide[~_nearest_place(wide, image)[1]]) / detection.width_px
+            wider[row, c] = _longest_piece(wide[~nearest_place(wide, image)[1]]) / detection.width_px
     return found
 
 
-def _nearest_place(points: np.ndarray, image: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def nearest_place(points: np.ndarray, image: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """(P,) the place of a rod's ``image`` (V, 2) nearest to each point, in edges from its start, and whether it is farther than
     NEAR_PX."""
     step = np.diff(image, axis=0)
@@ -287,11 +289,23 @@ def _passed_twice(image: np.ndarray) -> float:
 
 def _longest_piece(points: np.ndarray) -> int:
     """The largest number of points, about one for each pixel of line, that follow each other."""
-    if not len(points):
-        return 0
+    return int(np.bincount(_pieces(points)).max()) if len(points) else 0
+
+
+def _pieces(points: np.ndarray) -> np.ndarray:
+    """(P,) for each of the points (P, 2) the number of the piece that follow each other."""
     pairs = cKDTree(points).query_pairs(BESIDE_PX, output_type="ndarray")
     graph = coo_array((np.ones(len(pairs)), pairs.T), shape=(len(points), len(points)))
-    return int(np.bincount(connected_components(graph, directed=False)[1]).max())
+    return connected_components(graph, directed=False)[1]
+
+
+def left_out(points: np.ndarray, far: np.ndarray) -> np.ndarray:
+    """(P,) bool: those of the points (P, 2) of a line that are ``far`` (P,) from a rod's image, but on pieces of line that it
+    is on elsewhere: other pieces may be of something else."""
+    if not far.any() or far.all():
+        return np.zeros(len(points), dtype=bool)
+    piece = _pieces(points)
+    return far & np.isin(piece, piece[~far])
 
 
 @runtime.kernel

@@ -2,12 +2,13 @@
 
 Points that follow each other along their directions are chains. A chain ends where the thread ends, is hidden, or crosses
 itself; its end is joined to ends of other chains that go on in its direction. A path is a sequence of joined chains, each used
-once: at a crossing there are several.
+once: at a crossing there are several. And the detected line at the places of a rod's image.
 
-Axes: N detected points, M of a path.
+Axes: N detected points, M of a path, A image sets, C cameras, E edges of a rod, K places along an edge.
 """
 
 import heapq
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -15,7 +16,8 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from doo_ti.rod.frames import arc_lengths, curve_length, placed, unit_vectors
-from doo_ti.vision.detection import NEXT_PX, SHORTEST_PX, Detection, chains_of, outward, single
+from doo_ti.vision.detection import NEAR_PX, NEXT_PX, SHORTEST_PX, Detection, chains_of, outward, single, thinned
+from doo_ti.vision.distance_map import ALIKE, left_out
 
 WIDEST_GAP = 0.3  # of the image's height: the longest gap that a path crosses
 FORWARD = 0.64  # least cosine between the direction of an end and the way to the next
@@ -222,3 +224,73 @@ def _resampled(pieces: list[np.ndarray], cost: float, whole: float) -> ImagePath
         if arc[k] - arc[k - 1] > NEXT_PX:
             seen &= ~((place > arc[k - 1]) & (place < arc[k]))
     return ImagePath(placed(place, arc, points), seen, cost, min(1.0, sum(map(curve_length, pieces)) / whole))
+
+
+# --- the line at the places of a rod's image ----------------------------------------------------------------------------------
+
+NEIGHBOURS = 8  # points nearest to a place that are looked at: the nearest may be of a strand that crosses there
+
+
+def line_trees(detections: Sequence[Sequence[Detection]]) -> list[list[tuple[np.ndarray, np.ndarray, cKDTree | None]]]:
+    """Of each detection its points (N, 2), about one for each pixel of line, their directions, and a tree to search them; None
+    without any."""
+    lines = [[thinned(detection) for detection in images] for images in detections]
+    return [[(points, direction, cKDTree(points) if len(points) else None) for points, direction in views] for views in lines]
+
+
+def lines_at(places: np.ndarray, ways: np.ndarray, lines: list[list[tuple[np.ndarray, np.ndarray, cKDTree | None]]]
+             ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The detected lines, of :func:`line_trees`, at ``places`` (A, C, …, 2) px of images that run along ``ways`` there: their
+    points and unit tangents (A, C, …, 2), zero where there is none, and (A, C, …) bool: whether a point of like direction is
+    near."""
+    points, tangents = np.zeros((2, *places.shape))
+    found = np.zeros(places.shape[:-1], dtype=bool)
+    for row, c in np.ndindex(places.shape[:2]):
+        seen, direction, tree = lines[row][c]
+        if tree is None:
+            continue
+        way = ways[row, c][..., None, :]
+        apart, nearest = tree.query(places[row, c], NEIGHBOURS)
+        nearest = np.minimum(nearest, len(seen) - 1)
+        cosine = (direction[nearest] * way).sum(axis=-1)
+        alike = (apart <= NEAR_PX) & (np.abs(cosine) >= ALIKE * np.linalg.norm(way, axis=-1))
+        share = (alike / np.maximum(alike.sum(axis=-1, keepdims=True), 1))[..., None]
+        along = (share * np.sign(cosine)[..., None] * direction[nearest]).sum(axis=-2)
+        # Points of a bend lie inside of it, and where their tangents lead outside: the mean of both is on it.
+        ahead = ((places[row, c][..., None, :] - seen[nearest]) * direction[nearest]).sum(axis=-1, keepdims=True)
+        points[row, c] = (share * (seen[nearest] + 0.5 * ahead * direction[nearest])).sum(axis=-2)
+        tangents[row, c] = unit_vectors(along)
+        found[row, c] = alike.any(axis=-1) & along.any(axis=-1)
+    return points, tangents, found
+
+
+def contradicted(places: np.ndarray, found: np.ndarray, lines: list[list[tuple[np.ndarray, np.ndarray, cKDTree | None]]]
+                 ) -> np.ndarray:
+    """(A, E, K) bool: ``places`` (A, C, E, K, 2) px at which some camera has not ``found`` (A, C, E, K) the rod's line, but one
+    that leaves the rod there. The end of a rod that is longer than the thread in the images folds along the line of sight of
+    some cameras, and leaves the line in others: which of them show it is not known."""
+    against = np.zeros((len(places), *places.shape[2:4]), dtype=bool)
+    for row, c in np.ndindex(places.shape[:2]):
+        (points, _, tree), lost = lines[row][c], ~found[row, c].ravel()
+        if tree is None or not lost.any():
+            continue
+        here = places[row, c].reshape(-1, 2)
+        apart, nearest = cKDTree(here).query(points)
+        between = 0.5 * np.linalg.norm(np.diff(here, axis=0, append=here[-1:]), axis=1)
+        out = left_out(points, apart > np.hypot(NEAR_PX, np.maximum(between, np.roll(between, 1)))[nearest])
+        stretch = np.cumsum(np.diff(lost, prepend=lost[0]))  # places one after the other that are lost, or are not
+        against[row] |= (lost & np.isin(stretch, stretch[nearest[out]])).reshape(against.shape[1:])
+    return against
+
+
+def inside_ends(places: np.ndarray, found: np.ndarray, width: np.ndarray, exact: np.ndarray) -> np.ndarray:
+    """(A, C, E, K) bool: ``places`` (A, C, E, K, 2) px of rods' images that are farther than the ``width`` (A, C, 1) px of the
+    line from where it is ``found`` (A, C, E, K) last, and from where it is first unless that is ``exact`` (A,). Nearer to its
+    end a line is drawn aside by the edges of what holds it, or of what is behind it."""
+    flat = places.reshape(*places.shape[:2], -1, 2)
+    along = np.pad(np.cumsum(np.linalg.norm(np.diff(flat, axis=2), axis=-1), axis=2), ((0, 0), (0, 0), (1, 0)))
+    there = found.reshape(along.shape)
+    first = np.where(there, along, np.inf).min(axis=2, keepdims=True)
+    last = np.where(there, along, -np.inf).max(axis=2, keepdims=True)
+    inside = (along <= last - width) & ((along >= first + width) | exact[:, None, None])
+    return inside.reshape(found.shape)

@@ -134,6 +134,26 @@ def test_a_rod_of_another_length_lies_where_the_thread_is(seen, share):
     assert (np.abs(found.left_over - max(0.0, 1 - share) * LENGTH_MM) < 0.03 * LENGTH_MM).all()
 
 
+def test_a_rod_a_little_longer_than_the_thread_says_so(rng):
+    """Between cameras far apart none is traced. Its end is bridged, not folded where two of three cameras do not see it."""
+    rig, curves = cameras(40.0, third=True), [curve(np.random.default_rng(seed)) for seed in (1, 2)]
+    found = recovered((rig, curves, [views(rig, points, 0.1, rng) for points in curves]), 1.05 * LENGTH_MM)
+    assert (np.abs(found.thread_length / LENGTH_MM - 1) < 0.01).all() and not (found.verdict == d.PerceptionVerdict.CLEAR).any()
+    for rod, sigma, points in zip(found.vertices, found.sigma, curves, strict=True):
+        off = cKDTree(points).query(rod)[0]
+        assert (off < 3 * sigma)[-7:].all() and off[:-2].max() < 0.3 and off[-1] < 0.06 * LENGTH_MM
+
+
+def test_where_a_line_leaves_the_rod_no_camera_counts(seen):
+    """The end of a rod that folds along the line of sight is still on the line of that camera."""
+    rig, curves, detections = seen
+    rod, camera = curves[0][::15].copy(), rig.cameras[0]
+    on_it = detected_places(rig, rod[None], 1, detections[:1]).reshape(2, -1)
+    rod[-12:] = camera.centre + (rod[-12:] - camera.centre) * np.linspace(1.0, 1.3, 12)[:, None]
+    folded = detected_places(rig, rod[None], 1, detections[:1]).reshape(2, -1)
+    assert (folded[:, :-30] == on_it[:, :-30]).all() and (on_it[:, 10:-10] == 1).all() and (folded[:, -12:] == 0).all()
+
+
 @pytest.mark.parametrize(("angle", "height"), [(10.0, 10.0), (15.0, 25.0), (30.0, 10.0)])
 def test_a_level_arch_does_not_begin_at_its_other_end(angle, height, rng):
     rig, points = cameras(angle, third=False), arch(height)
@@ -280,5 +300,5 @@ def test_where_nothing_was_detected_sigma_is_large(rng):
     marks = points[:: 50]
     whole, hidden = (vertex_sigma(rig, marks[None, ::4], 0.1, 5.0, 0.0, detected_places(rig, marks[None], 4, [found]))[0]
                      for found in (images, gap))
-    assert whole == pytest.approx(vertex_sigma(rig, marks[None, ::4], 0.1, 5.0)[0])
+    assert whole == pytest.approx(vertex_sigma(rig, marks[None, ::4], 0.1, 5.0)[0], rel=0.15)  # but for a width at either end
     assert hidden[5] > 1.8 * whole[5] and hidden[1:3] == pytest.approx(whole[1:3], rel=0.3)

@@ -66,6 +66,12 @@ def test_long_work_reports_in_lines_without_a_terminal(monkeypatch, capsys, keep
         time.sleep(0.12)
     lines = capsys.readouterr().err.splitlines()
     assert lines[0].startswith(f"refining {SHOWN}: 0 s so far") and len(lines) < 4
+    monkeypatch.setattr(terminal_module, "COMPILING_SECONDS", 0.05)
+    with progress(keep=keep):
+        for seconds in (0.0, 0.1, 0.1):
+            with terminal_module.compiling():
+                time.sleep(seconds)
+    assert capsys.readouterr().err.count("compiling") == 1
 
 
 @pytest.mark.parametrize("shown", ["bar", "busy"])
