@@ -271,7 +271,7 @@ def _marks_summary(marks: Marks, rig: Rig, points: Points, observations: Observa
         "observations": observations.count, "names": marks.names, "vertices": observations.edges + 1, "ribbon": marks.is_ribbon,
         "marks": {name: count for name, count in counts.items() if count}, "valid_vertices": observations.valid.sum(),
         "median_sigma_mm": np.median(observations.sigma[observations.valid]),
-        "stated_sigma_px": chosen.sigma_px, "sigma_px": points.sigma_px, "label_sigma_px": points.label_sigma,
+        "sigma_px": chosen.sigma_px, "used_sigma_px": points.sigma_px, "label_sigma_px": points.label_sigma,
         "rms_px": {name: np.sqrt(np.mean(points.residual[camera, used] ** 2)) if used.any() else np.nan
                    for camera, (name, used) in enumerate(zip(rig.names, points.used, strict=True))},
         "outliers": _unused_labels(marks, rig, points, MarkStatus.OUTLIER_LEFT_OUT),
@@ -302,8 +302,8 @@ def _marks_lines(marks: Marks, summary: dict) -> list[str]:
              f"  marks       {results.status_text(summary['marks'])}; {summary['valid_vertices']} of {count * vertices} "
              "vertices valid",
              f"  residual    {rms} px (rms)",
-             f"  labels      {learned}, {summary['stated_sigma_px']:.2g} px were stated",
-             f"  sigma       median {summary['median_sigma_mm']:.3g} mm, for {summary['sigma_px']:.2g} px"]
+             f"  labels      {learned}, {summary['sigma_px']:.2g} px were stated",
+             f"  sigma       median {summary['median_sigma_mm']:.3g} mm, for {summary['used_sigma_px']:.2g} px"]
     for kind, label, verdict in (("outliers", "outlier", ", left out"), ("contradictory", "contradictory", "")):
         lines += results.shortened([
             f"  {label:<11} observation {entry['observation']}, mark {entry['mark']}, {entry['camera']}: "

@@ -125,7 +125,7 @@ def _numbers(text: str) -> list[float] | None:
         return None
 
 
-MOTIVE_UNITS = {"meters": "m", "centimeters": "cm", "millimeters": "mm"}
+MOTIVE_UNITS = {"meters": "m", "centimeters": "cm", "millimeters": "mm", "inches": "in"}
 REMEDY = "export the markers' trajectories as CSV again"
 
 

@@ -189,7 +189,7 @@ def test_files_that_are_refused(tmp_path):
         "x.csv": (motive(MARKS[:, :2], "Meters"), "2 markers"),
         "y.csv": (motive(MARKS, "Meters").replace("Frame,T", "T"), "Frame"),
         "u.xml": (CABLE.replace('prefix="v"', 'prefix="a"'), "a: the cable is there twice"),
-        "v.csv": (motive(MARKS, "Inches"), "inches"), "u.csv": (nexus(MARKS).replace("mm", "in"), "'in'"),
+        "v.csv": (motive(MARKS, "Feet"), "feet"), "u.csv": (nexus(MARKS).replace("mm", "ft"), "'ft'"),
         "t.csv": (nexus(MARKS).replace("M2", "M1"), "Rope:M1"),
         "z.csv": (nexus(MARKS).replace("10.0", "ten", 1), "ten"), "w.csv": ("a,b\n1,2\n", "x_mm"), "s.csv": ("\n\n", "file"),
         "r.csv": ("observation,x_mm,x_mm,y_mm,z_mm\n0,1,1,1,1\n", "x_mm"), "q.csv": ("x_mm,y_mm,z_mm\n", "no rows")}
