@@ -68,6 +68,7 @@ def summary_of(observations: Observations, surroundings: Surroundings, found, he
         "left_out": found.reasons, "misfits": observations.labels[np.flatnonzero(found.misfits)],
         "mislabelled": [{"observation": observations.labels[one.observation], "why": one.text} for one in found.mislabelled],
         "swivels": found.swivels, "turns_ignored": found.turns_ignored,
+        "roll_kept_deg": found.roll_kept and np.degrees(found.roll_kept),
         "rivals": [_theta(theta) for theta in estimate.rivals], "converged": found.converged,
         "iterations": found.steps,
         "regions": [{"parameters": pair, "outline": estimate.region(*pair)} for pair in pairs],
@@ -161,6 +162,8 @@ def summary_lines(summary: dict) -> list[str]:
             *(("caution", text) for text in cautions(summary)),
             ("ends", summary["swivels"] and
              "fit best as free to roll in what holds them; if clips held them, give their frames"),
+            ("ends", summary["roll_kept_deg"] and f"fit best as held at one roll in all observations, within "
+                                                  f"{summary['roll_kept_deg']:.2g}°"),
             ("frames", max(start, end) > 0 and f"off by {start:.2g}° (start) and {end:.2g}° (end); "
                                                f"{errors['turn_scatter_deg']:.2g}° between observations"),
             ("obstacles", touched and f"{', '.join(touched['kinds'])}; rods of radius {touched['radius_mm']:g} mm"),

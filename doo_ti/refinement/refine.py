@@ -25,7 +25,7 @@ from doo_ti.refinement.fit import FINE, Fitted
 from doo_ti.refinement.held_rod import HeldRod
 from doo_ti.refinement.rolls import bent, most_probable
 from doo_ti.refinement.search import once, searched, turns_chosen_again
-from doo_ti.refinement.theta import Scales, Theta, typical_scales
+from doo_ti.refinement.theta import NAMES, Scales, Theta, typical_scales
 from doo_ti.refinement.unknowns import Unknowns, Values
 from doo_ti.relaxation.contact_table import require_clear
 from doo_ti.relaxation.newton import Newton
@@ -109,6 +109,7 @@ class Refinement:
     mislabelled         those left out that fit as the others do with their marks in another order, or without one of them
     converged, steps    False where the allowed steps did not suffice; and how many were tried
     swivels             whether rods that roll freely in what holds them fit best: their rest curvature lies as they are bent
+    roll_kept           rad by which rolls differ between observations where one roll for all fits best; else None
     turns_ignored       whether measured whole turns (``total_twist``) were left out, since others fit better
     mesh_edges          N
     mesh_error          mm, root mean square of the correction for the length of the mesh's edges; None without correction
@@ -128,6 +129,7 @@ class Refinement:
     converged: bool
     steps: int
     swivels: bool
+    roll_kept: float | None
     turns_ignored: bool
     mesh_edges: int
     mesh_error: float | None
@@ -273,7 +275,8 @@ def _refinement(best: Fitted, rivals: list[Fitted], options: RefinementOptions, 
         distance=rod.distance(marks, state.solution, lengths, options.frame_weight),
         status=state.solution.status, stable=state.solution.stable, used=state.used, converged=fitted.converged,
         misfits=sound & ~state.used & fit.far(state), mislabelled=mislabelled(fitted), steps=fitted.steps,
-        swivels=rod.swivels, turns_ignored=rod.observations.total_twist is None and measured_turns, mesh_edges=rod.edges,
+        swivels=rod.swivels, roll_kept=state.scales["any_roll"] if state.scales.learned[NAMES.index("any_roll")] else None,
+        turns_ignored=rod.observations.total_twist is None and measured_turns, mesh_edges=rod.edges,
         mesh_error=_root_mean_square(correction[state.used]) if options.edges is None else None)
 
 

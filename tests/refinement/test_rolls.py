@@ -195,4 +195,4 @@ def test_curled_rods_that_keep_their_roll_are_not_taken_for_stiff_ones():
     begun, options = Theta(1.5 * bend * np.eye(2), 1.2 * bend), RefinementOptions(stiffness="uniform")
     found = refine(seen, observation_clamps(seen), begun, options)
     low, high = found.estimate.parameter("bend").low, found.estimate.parameter("bend").high
-    assert found.converged and not found.swivels and found.estimate.scales["any_roll"] < 0.2 and low < bend < high < 2 * low
+    assert found.converged and not found.swivels and found.roll_kept < 0.2 and low < bend < high < 2 * low
