@@ -64,10 +64,10 @@ def summary(rivals, difference, curvature, unknowns=("bend", "twist")) -> dict:
             "parameters": [{"name": "clip_start", "value": -1.0, "low": -2.0, "high": 4.0, "unit": "mm"}],
             "rest_curvature_per_mm": {"root_mean_square": curvature, "range_mm": 30.0}, "linear_density_g_per_m": None,
             "stiffness_along": {"factor": [1.0, 1.0], "root_mean_square": 0.0},
-            "clamp_errors": {"turn_deg": (0, 0), "turn_scatter_deg": 0}, "swivels": False, "obstacles": None, "loaded": False, "roll_kept_deg": None,
+            "clamp_errors": {"turn_deg": (0, 0), "turn_scatter_deg": 0}, "swivels": False, "obstacles": None, "loaded": False,
             "mean_distance_mm": 0.1, "sigma_mm": 0.1, "sigma_stated": False, "reaches_noise": True, "advice": [],
             "other_up": None, "turns_open": False, "left_out": {}, "misfits": [], "mislabelled": [], "sensitive": [],
-            "models": [{"model": "straight", "difference": difference, "error": 0.56}], "held_out": None}
+            "models": [{"model": "straight", "difference": difference, "error": 0.56}], "held_out": None, "roll_kept_deg": None}
 
 
 def test_what_is_printed_agrees_with_itself():
