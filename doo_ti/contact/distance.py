@@ -1,4 +1,5 @@
-"""Signed distance of a point to an obstacle inside kernels, with its gradient n and second derivatives (docs/contact.md).
+"""Signed distance of a point to an obstacle inside kernels, with its gradient n and second derivatives (docs/contact.md); and
+of many points to a closed surface of triangles.
 
 Cylinders and rings are bodies of revolution. In the half plane of a point, with e_r away from the axis and e_z along it,
 n = n_r e_r + n_z e_z, and with k the curvature of the profile's parallel curve through the point
@@ -8,13 +9,15 @@ n = n_r e_r + n_z e_z, and with k the curvature of the profile's parallel curve 
 Of a grid n is the gradient of a spline, of about unit length.
 """
 
+import numpy as np
 import taichi as ti
 
 from doo_ti.contact.distance_grid import HEADER
 from doo_ti.contact.obstacles import BOX, CAPSULE, CYLINDER, GRID, PLANE, RING
 from doo_ti.physics.algebra import absolute, applied, largest_of, seen_from, transposed
-from doo_ti.physics.number import Layout, device_functions
-from doo_ti.physics.tuples import chosen, dot, minus, plus, products, put_lane, record, repeated, scaled, traced
+from doo_ti.physics.number import Layout, device_functions, read
+from doo_ti.physics.tuples import chosen, cross, dot, minus, plus, products, put_lane, record, repeated, scaled, traced
+from doo_ti.system import runtime
 
 COLUMNS = Layout(point=3, axis_1=3, axis_2=3, axis_3=3, axes=("axis_1", 9), sizes=3, depth=1, friction=1)
 """Of an obstacle, in the order of :mod:`doo_ti.contact.obstacles`."""
@@ -236,3 +239,87 @@ class Distance:
             whole.slope = plus(whole.slope, (d * plane.v, w * plane.y, w * plane.z))
             whole.bend = plus(whole.bend, (b * plane.v, d * plane.y, d * plane.z, w * plane.yy, w * plane.yz, w * plane.zz))
         return whole
+
+
+# --- a closed surface of triangles ------------------------------------------------------------------------------------------
+
+
+@runtime.exclusive
+def signed_distances(corners: np.ndarray, first: np.ndarray, spacing: float, counts: np.ndarray) -> np.ndarray:
+    """(X, Y, Z) mm, negative inside, of a grid's points from the closed surface of triangles with ``corners`` (M, 3, 3).
+
+    Points next to each other are on one side where their distances add to more than the spacing. Of each set of points on one
+    side the winding number of one is computed (van Oosterom and Strackee, 1983).
+    """
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    runtime.start()
+    points = first + spacing * np.indices(counts).reshape(3, -1).T
+    distance, number = np.empty(len(points)), np.arange(len(points)).reshape(counts)
+    _unsigned(points, np.ascontiguousarray(corners), distance)
+    pairs = [np.stack([np.delete(number, end, axis).ravel() for end in (-1, 0)], axis=1) for axis in range(3)]
+    pairs = np.concatenate(pairs)
+    pairs = pairs[distance[pairs].sum(axis=1) > spacing]
+    graph = coo_array((np.ones(len(pairs), dtype=bool), pairs.T), shape=(len(points), len(points)))
+    side = connected_components(graph, directed=False)[1]
+    _, one = np.unique(side, return_index=True)
+    winding = np.empty(len(one))
+    _winding(points[one], np.ascontiguousarray(corners), winding)
+    return np.where(np.abs(winding) > 0.5, -1.0, 1.0)[side].reshape(counts) * distance.reshape(counts)
+
+
+@runtime.kernel
+def _unsigned(
+    points: ti.types.ndarray(dtype=ti.f64, ndim=2),  # [point, 3]
+    corners: ti.types.ndarray(dtype=ti.f64, ndim=3),  # [triangle, 3, 3]
+    distance: ti.types.ndarray(dtype=ti.f64, ndim=1),  # [point] out
+):
+    for i in range(points.shape[0]):
+        p = read(points, i, 0)
+        least = ti.cast(1e300, ti.f64)
+        for m in range(corners.shape[0]):
+            a, b, c = read(corners, m, 0, 0), read(corners, m, 1, 0), read(corners, m, 2, 0)
+            middle = scaled(plus(plus(a, b), c), 1.0 / 3.0)
+            radius = ti.sqrt(ti.max(ti.max(_square(a, middle), _square(b, middle)), _square(c, middle)))
+            if ti.sqrt(_square(p, middle)) - radius < least:
+                least = ti.min(least, ti.sqrt(_square_to_triangle(p, a, b, c)))
+        distance[i] = least
+
+
+@ti.func
+def _square(a, b):
+    d = minus(a, b)
+    return dot(d, d)
+
+
+@ti.func
+def _square_to_triangle(p, a, b, c):
+    """mm², the square of the distance of p from a triangle: from its plane where p is above its inside, else from its edges."""
+    n = cross(minus(b, a), minus(c, a))
+    area = dot(n, n)
+    inside, square = area > 0.0, ti.cast(1e300, ti.f64)
+    for k in ti.static(range(3)):
+        start, end = ((a, b), (b, c), (c, a))[k]
+        along, off = minus(end, start), minus(p, start)
+        inside = inside and dot(cross(n, along), off) >= 0.0
+        share = ti.min(ti.max(dot(off, along) / ti.max(dot(along, along), TINY), 0.0), 1.0)
+        square = ti.min(square, _square(off, scaled(along, share)))
+    height = dot(minus(p, a), n)
+    return ti.select(inside, height * height / ti.max(area, TINY), square)
+
+
+@runtime.kernel
+def _winding(
+    points: ti.types.ndarray(dtype=ti.f64, ndim=2),  # [point, 3]
+    corners: ti.types.ndarray(dtype=ti.f64, ndim=3),  # [triangle, 3, 3]
+    winding: ti.types.ndarray(dtype=ti.f64, ndim=1),  # [point] out
+):
+    for i in range(points.shape[0]):
+        p = read(points, i, 0)
+        total = ti.cast(0.0, ti.f64)
+        for m in range(corners.shape[0]):
+            a, b, c = minus(read(corners, m, 0, 0), p), minus(read(corners, m, 1, 0), p), minus(read(corners, m, 2, 0), p)
+            la, lb, lc = ti.sqrt(dot(a, a)), ti.sqrt(dot(b, b)), ti.sqrt(dot(c, c))
+            total += ti.atan2(dot(a, cross(b, c)), la * lb * lc + dot(a, b) * lc + dot(b, c) * la + dot(c, a) * lb)
+        winding[i] = total / (2.0 * np.pi)

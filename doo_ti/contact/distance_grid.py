@@ -23,7 +23,6 @@ from doo_ti.system.files import read_content
 
 HEADER = 4  # numbers that a grid has in front of all coefficients: where its own begin, and how many there are along each axis
 MOST_POINTS = 8_000_000
-CHUNK = 20_000  # points whose distances are computed at a time
 FORMATS = (".stl", ".ply", ".obj")  # trimesh reads more: archives, which it unpacks, and files that name others
 STL_HEADER, STL_TRIANGLE = 84, 50  # bytes of a binary STL file
 MARGIN, MARGIN_SPACINGS = 0.1, 2.0  # of the surface's largest size, and besides so many spacings: grid around it
@@ -160,7 +159,7 @@ def grid_table(obstacles: Sequence[Obstacle]) -> tuple[np.ndarray, np.ndarray]:
     return kinds, _packed(grids) if grids else np.zeros(1)
 
 
-# --- from a closed surface of triangles, by the library trimesh ---
+# --- from a closed surface of triangles, read by the library trimesh ---
 
 
 def sampled(mesh, spacing: float, margin: float | None) -> tuple[np.ndarray, float, np.ndarray]:
@@ -169,7 +168,7 @@ def sampled(mesh, spacing: float, margin: float | None) -> tuple[np.ndarray, flo
     if not spacing > 0:
         raise InputError("DistanceGrid", "spacing", f"{spacing:g}", "give a positive length in mm")
     surface, name = _surface(mesh)
-    from trimesh.proximity import signed_distance
+    from doo_ti.contact.distance import signed_distances
 
     low, high = surface.bounds
     if margin is None:
@@ -181,19 +180,15 @@ def sampled(mesh, spacing: float, margin: float | None) -> tuple[np.ndarray, flo
         raise InputError(name, "spacing", f"{spacing:g} mm makes {counts.prod():.3g} points", "give a larger one")
     counts = counts.astype(np.int64)
     first = 0.5 * (low + high) - 0.5 * spacing * (counts - 1)
-    points = first + spacing * np.indices(counts).reshape(3, -1).T
-    parts = np.split(points, np.arange(CHUNK, len(points), CHUNK))
-    values = -np.concatenate([signed_distance(surface, part) for part in parts])  # trimesh has them positive inside
-    return values.reshape(counts), spacing, first
+    return signed_distances(np.array(surface.triangles), first, spacing, counts), spacing, first
 
 
 def _surface(mesh):
     """(the mesh of trimesh, its name for messages). Raises InputError."""
     try:
-        import rtree  # noqa: F401  trimesh looks nearest triangles up with it
         import trimesh
     except ImportError:
-        raise InputError("DistanceGrid", "mesh", "trimesh or rtree is not installed", "pip install 'doo_ti[mesh]'") from None
+        raise InputError("DistanceGrid", "mesh", "trimesh is not installed", "pip install 'doo_ti[mesh]'") from None
     if isinstance(mesh, str | Path):
         name, path = mesh, Path(mesh)
         if path.suffix.lower() not in FORMATS:
