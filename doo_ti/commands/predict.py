@@ -134,7 +134,7 @@ def _arrays(rods: HeldRods, prediction) -> dict[str, np.ndarray]:
         per_material |= {"contact_force": prediction.contact_force,
                          "smallest_gap_mm": rods.surroundings.smallest_gaps(prediction.vertices)}
     start_force = results.start_force(rods.material.take(prediction.material), prediction.rest_length, rods.up,
-                                      prediction.end_force, prediction.contact_force)
+                                      prediction.status, prediction.end_force, prediction.contact_force)
     return results.in_newton({
         "time_s": prediction.time, "vertices_mm": prediction.vertices, "energy": prediction.energy, "status": prediction.status,
         "stable": prediction.stable, "followed": prediction.followed, "jumps": prediction.jumps,

@@ -70,8 +70,8 @@ def run_relax(options: Namespace) -> int:
         result["contact_force"] = solution.contact_force[best]
         result["smallest_gap_mm"] = surroundings.smallest_gap(result["vertices_mm"])
         contact = results.contact_summary(surroundings, result["contact_force"], result["smallest_gap_mm"], result["status"])
-    result["start_force"] = results.start_force(material, observations.rest_length, observations.up, result["end_force"],
-                                                result.get("contact_force"))
+    result["start_force"] = results.start_force(material, observations.rest_length, observations.up, result["status"],
+                                                result["end_force"], result.get("contact_force"))
     results.save_arrays(out, results.in_newton(result, given.newtons(options, material.weight), 0))
     inside = results.inside_reason(surroundings.take(infeasible), *(one.take(infeasible) for one in (held, start)),
                                    index[infeasible])

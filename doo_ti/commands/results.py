@@ -68,10 +68,12 @@ def force_rows(arrays: dict[str, np.ndarray], axis: int) -> list[tuple[str, str]
         return []
     found = []
     if "contact_force_N" in arrays:
-        push = np.linalg.norm(np.nan_to_num(np.moveaxis(arrays["contact_force_N"], axis, 0)).sum(axis=-2), axis=-1)
-        if push.max() > 0:
-            found = [("force", f"obstacles exert {push.max():.3g} N on a rod in all at most, at moment "
-                               f"{np.unravel_index(push.argmax(), push.shape)[1]}; {push[:, -1].max():.3g} N at the end")]
+        push = np.linalg.norm(np.moveaxis(arrays["contact_force_N"], axis, 0).sum(axis=-2), axis=-1)
+        known, last = np.nan_to_num(push), push[:, -1][np.isfinite(push[:, -1])]
+        if known.max() > 0:
+            at_end = f"; {last.max():.3g} N at the end" if len(last) else ""
+            found = [("force", f"obstacles exert {known.max():.3g} N on a rod in all at most, at moment "
+                               f"{np.unravel_index(known.argmax(), known.shape)[1]}{at_end}")]
     for name, clamp in (("start_force_N", "near"), ("end_force_N", "far")):
         force = np.moveaxis(arrays.get(name, np.zeros((1, 1, 3))), axis, 0)
         size, last = np.linalg.norm(force, axis=-1), force[:, -1][np.isfinite(force[:, -1]).all(axis=-1)]
@@ -87,12 +89,13 @@ def force_rows(arrays: dict[str, np.ndarray], axis: int) -> list[tuple[str, str]
     return found
 
 
-def start_force(material: Material, rest_length: np.ndarray, up: np.ndarray, end_force: np.ndarray,
+def start_force(material: Material, rest_length: np.ndarray, up: np.ndarray, status: np.ndarray, end_force: np.ndarray,
                 contact_force: np.ndarray | None) -> np.ndarray:
     """(…, R, 3) of the near clamp on R rods at rest, beside the ``end_force`` of the far one and those of obstacles
-    (…, R, V, 3): together they bear the weight."""
+    (…, R, V, 3): together they bear the weight. NaN of rods that by their ``status`` (…, R) are not at rest."""
     weight = (2.0 * material.weight * np.sum(rest_length, axis=-1))[:, None] * up
-    return (weight if contact_force is None else weight - contact_force.sum(axis=-2)) - end_force
+    found = (weight if contact_force is None else weight - contact_force.sum(axis=-2)) - end_force
+    return np.where((status == Status.CONVERGED)[..., None], found, np.nan)
 
 
 def save_json(out: Path, content) -> None:

@@ -27,6 +27,7 @@ OF_STEPPING = ("substeps", "scheme", "precision", "tolerance", "most_substeps", 
 MOST_LISTED = 8
 OF_ALL = ("rate_hz", "recording")  # arrays that have no row for each rod
 NOTABLE = 0.02  # share of the energy: what the time steps lose beyond it is said
+STILL = 1e-3  # of its length, by which a rod moves that is at rest but for rounding
 SPLIT = ("kinetic", "gravity", "bending", "twist", "dissipated", "work", "unaccounted", "sum")
 """Energies in pictures and recordings."""
 
@@ -230,7 +231,7 @@ def _results(found: _Simulated, out: Path) -> tuple[dict, dict]:
             gap[:, :2] = np.nan  # as recorded
         summary |= results.contact_summary(found.surroundings, found.contact["contact_force"], gap, found.status)
     if found.energies:
-        summary["lost_energy"] = dict(zip(found.names, _lost_share(found.energies), strict=True))
+        summary["lost_energy"] = dict(zip(found.names, _lost_share(found.energies, found.positions), strict=True))
     if found.step_error is not None:
         arrays["step_error_mm"] = found.step_error
         used, rods = np.unique(found.substeps, return_counts=True)
@@ -279,11 +280,14 @@ def _lines(found: _Simulated, summary: dict, arrays: dict) -> list[str]:
             *(("glitch", in_line(line)) for line in glitches))]
 
 
-def _lost_share(energies: dict[str, np.ndarray]) -> np.ndarray:
-    """(R,) the largest energy unaccounted for, mostly lost by the time steps, over the largest that a rod had, took or gave."""
+def _lost_share(energies: dict[str, np.ndarray], positions: np.ndarray) -> np.ndarray:
+    """(R,) the largest energy unaccounted for, mostly lost by the time steps, over the largest that a rod had, took or gave;
+    zero for rods that are still, at ``positions`` (R, T, V, 3)."""
     each = [energies[name] for name in ("kinetic", "work", "dissipated")] + [energies["sum"] - energies["kinetic"]]
     exchanged = np.max([np.nanmax(value, axis=1) - np.nanmin(value, axis=1) for value in each], axis=0)
-    return np.nanmax(np.abs(energies["unaccounted"]), axis=1) / np.maximum(exchanged, np.finfo(float).tiny)
+    moved = np.nanmax(np.linalg.norm(positions - positions[:, :1], axis=-1), axis=(1, 2))
+    moves = moved > STILL * np.linalg.norm(np.diff(positions[:, 0], axis=1), axis=-1).sum(axis=1)
+    return moves * np.nanmax(np.abs(energies["unaccounted"]), axis=1) / np.maximum(exchanged, np.finfo(float).tiny)
 
 
 def _draw(found: _Simulated, picture: Path | None, recording: Path | None, animation: Path | None) -> None:

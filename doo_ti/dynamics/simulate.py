@@ -267,15 +267,16 @@ class _Motion:
             if progress is not None:
                 progress(last)
         positions, outcomes, changes, forces, touches = zip(*parts, strict=True)
-        outcome = joined(outcomes)
+        positions, outcome = joined(positions), joined(outcomes)
+        lost = np.isnan(positions[..., 0, 0])[..., None]
         status = outcome[..., STATE].astype(np.int8)
         self.relinked = (outcome[..., RELINKED] > 0).any(axis=1) & table.spins_held[table.configuration_index]
         return Trajectory(
-            joined(positions), status, outcome[..., TRIPS].astype(np.int32), outcome[..., MOMENT],
-            outcome[..., END_FORCE:FRICTION_WORK], self.stepping.rate, memory,
+            positions, status, outcome[..., TRIPS].astype(np.int32), outcome[..., MOMENT],
+            np.where(lost, np.nan, outcome[..., END_FORCE:FRICTION_WORK]), self.stepping.rate, memory,
             np.full(table.count, self.substeps), np.full(table.count, np.nan),
             None if slopes is None else joined(changes), None if account is None else account.detail(status),
-            None if forces[0] is None else joined(forces), outcome[..., FRICTION_WORK],
+            None if forces[0] is None else np.where(lost[..., None], np.nan, joined(forces)), outcome[..., FRICTION_WORK],
             None if touches[0] is None else joined(touches))
 
 

@@ -28,7 +28,7 @@ class Detail:
 
 @dataclass(frozen=True)
 class Trajectory:
-    """R rods at F frames. From where a rod failed its positions are NaN, and its forces and work zero.
+    """R rods at F frames. From where a rod failed its positions and forces are NaN, and its work zero.
 
     positions   (R, F, V, 3) mm
     status      (R, F) Status; a rod that failed keeps its status to the end
@@ -180,7 +180,7 @@ def kept_apart(moved: Callable[..., Trajectory], stepping: Stepping, rows: np.nd
     for frame in range(found.positions.shape[1]):
         near |= approach_in_motion(places[:, frame], places[:, frame + 1], own, lengths, radius)
     if found.contact_force is None:
-        found = replace(found, contact_force=np.zeros_like(found.positions),
+        found = replace(found, contact_force=0.0 * found.positions,
                         touch=np.zeros(found.positions.shape[:3], dtype=np.int8))
     again = np.flatnonzero(near)
     if len(again):
