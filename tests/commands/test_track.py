@@ -91,6 +91,7 @@ def test_a_video_is_tracked_from_a_click(filmed, tmp_path, capsys):
     refused(capsys, tmp_path, of(filmed, "--seed-pixel cam1:3,3"), "--seed-pixel", "seed_x")
 
 
+@pytest.mark.thorough
 def test_images_in_another_order_are_said(filmed, capsys):
     frames, (u, v) = filmed / "swapped.csv", three_cameras().cameras[0].project(rods()[0, :1])[0]
     changed(filmed, frames, lambda _: ["frame,cam0,cam1,cam2", "0,000_cam0.png,000_cam2.png,000_cam1.png"])

@@ -128,7 +128,7 @@ def test_the_uncertainty_of_a_start_counts_in_that_of_its_rod(video):
         assert (other.sigma > one.sigma).all() and np.linalg.norm(other.vertices - rod, axis=-1).max() < 3 * other.sigma.max()
 
 
-@pytest.mark.parametrize("blind", [3, 2])
+@pytest.mark.parametrize("blind", [2, pytest.param(3, marks=pytest.mark.thorough)])
 def test_a_rod_behind_a_bar_is_followed(video, blind):
     """From the second frame on none of so many cameras shows a fifth of it: the rest leaves little to choose there."""
     rig = three_cameras()
