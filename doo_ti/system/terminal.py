@@ -154,6 +154,25 @@ def _columns() -> tuple:
     return Description(), Rate()
 
 
+class _CompilingNotice:
+    """A line that says, once and where it takes long, that kernels are being compiled."""
+
+    def __init__(self):
+        self._timer, self._told = Timer(0.0, print), False
+
+    def show(self, is_compiling: bool) -> None:
+        self._timer.cancel()
+        if is_compiling and not self._told:
+            self._timer = Timer(COMPILING_SECONDS, self._tell)
+            self._timer.daemon = True
+            self._timer.start()
+
+    def _tell(self) -> None:
+        self._told = True
+        print(f"{COMPILING} at its first use on a machine this takes minutes, later no time; then lines say what is done",
+              file=sys.stderr, flush=True)
+
+
 def progress(*, keep: bool = False):
     """A progress bar on standard error as a context: how much of how much is done, the rate and the time left. Work is added
     with ``bar.add_task("growth", total=320, unit="edges")``. Where standard error is no terminal, a line reports every
@@ -170,8 +189,7 @@ def progress(*, keep: bool = False):
         """Reports in lines where there is no terminal."""
 
         reported = time.monotonic()
-        notice = Timer(0.0, print)  # the one that is to say, once, that kernels are being compiled
-        told = False
+        notice = _CompilingNotice()
 
         def start(self) -> None:
             super().start()
@@ -185,16 +203,7 @@ def progress(*, keep: bool = False):
         def show(self, is_compiling: bool) -> None:
             rate.is_compiling = is_compiling
             self.refresh()
-            self.notice.cancel()
-            if is_compiling and not (console.is_terminal or self.told):
-                self.notice = Timer(COMPILING_SECONDS, self.tell)
-                self.notice.daemon = True
-                self.notice.start()
-
-        def tell(self) -> None:
-            self.told = True
-            print(f"{COMPILING} at its first use on a machine this takes minutes, later no time; then lines say what is done",
-                  file=sys.stderr, flush=True)
+            self.notice.show(is_compiling and not console.is_terminal)
 
         def update(self, task_id, **changes) -> None:
             super().update(task_id, **changes)
