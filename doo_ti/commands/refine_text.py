@@ -91,7 +91,7 @@ def cautions(summary: dict) -> list[str]:
         found.append("bend stiffness of a curved rod depends on twist stiffness, which was not learned: give --parameters "
                      "bend,twist")
     found += [f"{name} ends beyond two more marks: if nothing holds them, check {'the obstacles and --radius' * touched}"
-              f"{'the clamps' * (not touched)}, or give --clip MM" for name in summary["long_clips"]]
+              f"{'the clamps' * (not touched)}, or give --clip MM" for name in summary.get("long_clips", ())]
     if any(one["name"] == "bend" and one["high"] is None for one in summary["parameters"]):
         found.append("as fitted, its weight hardly bends the rod: check --up, or hang it so that it sags")
     return found

@@ -131,8 +131,8 @@ def test_no_step_from_a_kink_lowers_the_larger_of_both_models_more(linear_model,
     def of_both(x, z):
         away = evidence.offset + x
         same = away @ evidence.unknowns.precision(scales)[0] @ away + ((z / sizes) ** 2).sum()
-        return [same + sum((((k.values + k.shared @ (x - at) + (k.effects @ z[..., None])[..., 0]) / scales[k.scale]) ** 2).sum()
-                           for k in side) for side, at in ((linear, 0.0), (beyond, ahead))]
+        return [same + sum((((k.values + k.shared @ (x - at) + (k.effects @ z[..., None])[..., 0])
+                             / scales[k.scale]) ** 2).sum() for k in side) for side, at in ((linear, 0.0), (beyond, ahead))]
 
     least = of_both(found.step, found.effects)
     assert least[0] == pytest.approx(least[1], rel=1e-4)
