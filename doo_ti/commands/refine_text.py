@@ -39,11 +39,13 @@ def summary_of(observations: Observations, surroundings: Surroundings, found, he
     densities = None if density is None else [density] * 3
     if density is not None and loaded and "weight" in names:  # with its interval, learned
         densities = [None if end is None else density * end for end in _ends(estimate.parameter("weight"))]
+    outer = {"clip_start": observations.rest_length[:2], "clip_end": observations.rest_length[-2:]}
     summary = {
         "material": observations.name, "source": observations.source, "observations": observations.count,
         "theta": _theta(found.theta), "parameters": [asdict(parameter) for parameter in estimate.parameters],
         "unknowns": names, "covariance": estimate.covariance, "correlation": estimate.correlation,
         "degrees_of_freedom": estimate.degrees, "not_determined": estimate.left_open,
+        "long_clips": [one.name for one in estimate.parameters if one.name in outer and one.value > outer[one.name].sum()],
         "stiffness": _stiffness(estimate, density, loaded), "loaded": loaded,
         "linear_density_g_per_m": densities,
         "rest_curvature_per_mm": {"spread": scales["curvature"], "range_mm": scales["range"],
@@ -82,12 +84,14 @@ def summary_of(observations: Observations, surroundings: Surroundings, found, he
 
 def cautions(summary: dict) -> list[str]:
     """What to beware of in a result, from the other entries of its summary."""
-    found = []
+    found, touched = [], summary["obstacles"] is not None
     if summary.get("turns_ignored"):
         found.append("total_twist_deg was left out: other whole turns fit better; check it")
     if _curved(summary) and "twist" not in summary["unknowns"]:
         found.append("bend stiffness of a curved rod depends on twist stiffness, which was not learned: give --parameters "
                      "bend,twist")
+    found += [f"{name} ends beyond two more marks: if nothing holds them, check {'the obstacles and --radius' * touched}"
+              f"{'the clamps' * (not touched)}, or give --clip MM" for name in summary.get("long_clips", ())]
     if any(one["name"] == "bend" and one["high"] is None for one in summary["parameters"]):
         found.append("as fitted, its weight hardly bends the rod: check --up, or hang it so that it sags")
     return found

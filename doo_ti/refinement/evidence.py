@@ -12,20 +12,16 @@ and −2 ln of the evidence, without its constant, is
 with r' the residuals at the most probable x̂ and ẑ. It is Laplace's approximation of the evidence of the nonlinear model
 (MacKay, *Bayesian Interpolation*, 1992).
 
-The sizes are found by BFGS with Powell's damping and projected steps (Nocedal and Wright, *Numerical Optimization*, 2006, §6.1
-and procedure 18.2). Unlike SciPy's L-BFGS-B it begins with a known Hessian, and returns the one it has learned: the next of
-many similar searches then takes one or two evaluations.
-
 Axes: D observations, P unknowns, Q effects of an observation, H learned sizes.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from doo_ti.refinement.residuals import GAP_MODES, Moments, Residuals
-from doo_ti.refinement.theta import NAMES, Scales
+from doo_ti.refinement.theta import NAMES, Scales, minimised
 from doo_ti.refinement.unknowns import Unknowns
 
 STEPS = 60
@@ -38,11 +34,7 @@ MISSING = 0.8
 """Largest share of the information about an unknown that may be missing because rolls are not known: far from the optimum the
 second derivative may have any sign."""
 FARTHEST = 2.0  # largest change of the logarithm of a size in one search
-LONGEST = 1.5  # largest change of a variable in one step
-SHORTENED, SHORTEST = 0.3, 1e-3
-"""Factor by which a step that does not lower the function enough is shortened, and the smallest share that is tried."""
-ARMIJO = 1e-4  # least decrease over that which the gradient promises
-DAMPED = 0.2  # least curvature along a step over that of the present Hessian
+HALVINGS = 20  # of the weights of both sides of a kink
 
 
 @dataclass(frozen=True)
@@ -81,6 +73,20 @@ class Evidence:
         """The same, but direction · x is held at ``amount``, ``direction`` (P,)."""
         full, _ = np.linalg.qr(np.column_stack([direction, np.eye(len(direction))]))
         return replace(self, basis=full[:, 1 : len(direction)], along=amount * direction / (direction @ direction))
+
+    def with_other_side(self, linear: Sequence[Residuals], ahead: np.ndarray, scales: Scales) -> "Evidence":
+        """F at a kink, with another linear model, around values that are ``ahead`` (P,): the mean of the squares of both,
+        weighted so that at its most probable step both are as large. That step lowers the larger of them the most (bundle
+        methods: Kiwiel, *Methods of Descent for Nondifferentiable Optimization*, 1985)."""
+        other = [Moments.of(replace(kind, values=kind.values - kind.shared @ ahead), self.share) for kind in linear]
+        pairs, low, high = list(zip(self.moments, other, strict=True)), 0.0, 1.0
+        for _ in range(HALVINGS):
+            weight = 0.5 * (low + high)
+            both = replace(self, moments=tuple(own.averaged(its, weight) for own, its in pairs))
+            at = (found := both.posterior(scales)).step, found.effects
+            more = sum((self._squares(its, *at) - self._squares(own, *at)) / scales[own.scale] ** 2 for own, its in pairs)
+            low, high = (weight, high) if more > 0 else (low, weight)
+        return both
 
     def posterior(self, scales: Scales, known: bool = False) -> Posterior:
         """The posterior at these sizes; ``known``: as if it were known which of several rows is the rod."""
@@ -301,45 +307,3 @@ def integrated(unknowns: Unknowns, linear: tuple[Residuals, ...], scales: Scales
     squares = sum(w * (k.values**2).sum(axis=1) for w, k in pairs) - (slope_z * (inner @ slope_z)).sum(axis=(1, 2))
     noise = sum(k.count * np.log(2 * np.pi * scales[k.scale] ** 2) for k in linear)
     return own, slope, squares, noise - np.linalg.slogdet(inner)[1] + np.log(variance).sum()
-
-
-# --- the search for the sizes ---------------------------------------------------------------------------------------------
-
-
-def minimised(function: Callable[[np.ndarray], tuple[float, np.ndarray]], x: np.ndarray, bounds: tuple[np.ndarray, np.ndarray],
-              hessian: np.ndarray, steps: int, enough: float) -> tuple[np.ndarray, np.ndarray]:
-    """``x`` (N,) where ``function``, which returns its value and gradient, is least within ``bounds``, and its Hessian there.
-
-    Ends after ``steps``, or where the next step promises, or the last one gained, less than ``enough``."""
-    value, gradient = function(x)
-    for _ in range(steps):
-        free = np.where(gradient > 0, x > bounds[0], x < bounds[1])  # not held by its bound
-        step = np.zeros_like(x)
-        step[free] = -np.linalg.solve(hessian[np.ix_(free, free)], gradient[free])
-        if -gradient @ step < enough:
-            break
-        step = step * min(1.0, LONGEST / np.abs(step).max())
-        share, lower = 1.0, False
-        while not lower and share > SHORTEST:
-            trial = np.clip(x + share * step, *bounds)
-            its_value, its_gradient = function(trial)
-            lower = its_value <= value + ARMIJO * gradient @ (trial - x)
-            share *= SHORTENED
-        if not lower:
-            break
-        hessian = _updated(hessian, trial - x, its_gradient - gradient)
-        gained, x, value, gradient = value - its_value, trial, its_value, its_gradient
-        if gained < enough:
-            break
-    return x, hessian
-
-
-def _updated(hessian: np.ndarray, step: np.ndarray, change: np.ndarray) -> np.ndarray:
-    """The Hessian with ``change`` of the gradient along ``step``, damped so that it stays positive definite."""
-    along = hessian @ step
-    curvature, present = step @ change, step @ along
-    if curvature < DAMPED * present:
-        share = (1 - DAMPED) * present / (present - curvature)
-        change = share * change + (1 - share) * along
-        curvature = step @ change
-    return hessian - np.outer(along, along) / present + np.outer(change, change) / curvature

@@ -33,7 +33,7 @@ LARGEST_ROLL = 1.0  # rad, of a clamp in one observation
 SHORTENED = 1 / 3  # factor by which a step that does not help is shortened
 MOST_SHORTENED = 8
 TURNED = 0.5  # factor of a step that leads back by more than this share of the last
-LEAST_SHARE = 2e-3  # share of a step: if no longer step helps, the fit stops
+LEAST_SHARE = 2e-3  # share of a step: if no longer step helps, the fit stops, but not at a kink
 FINE, OF_INTERVALS, ROUGH = (0.03, 0.01), (0.1, 0.1), (0.1, 0.5)  # a fit is done when a whole step would move Θ by fewer
 # standard errors and the last one lowered −2 ln of the posterior by less; ROUGH while several fits compete
 AT_KINK = 0.5  # standard errors of a whole step, where shorter ones no longer help: contacts that begin or end make kinks
@@ -199,26 +199,31 @@ class Fit:
         """The best values that are reached from ``state``; with ``held`` = (v, a), those whose v·x is larger by a than that of
         ``state``, x being the unknowns."""
         direction, left = held or (None, 0.0)
-        done, tried, before = False, 0, np.zeros(self.unknowns.theta_count)
+        done, tried, before, kinked = False, 0, np.zeros(self.unknowns.theta_count), None
+        among = bool(self.unknowns.rod.surroundings)
         snapping = np.zeros(len(state.used), dtype=bool)  # stay out: the fit would pull them in and lose them again for ever
         for tried in range(1, steps + 1):
-            fitted = self._linear(state, direction, left)
+            fitted = kinked or self._linear(state, direction, left)
             if done:
                 break
             snapping |= state.used & ~fitted.state.used
             found, count = fitted.posterior, self.unknowns.theta_count
             change = found.step[:count] / np.maximum(np.sqrt(np.diag(found.covariance)[:count]), 1e-9)
-            settled = bool((np.abs(change) <= self.tolerance[0]).all()) and left == 0.0
             turned = np.sum(change * before) < -TURNED * np.sum(before**2) and left == 0.0  # sizes and Θ chase each other
             trial, share, gained = self._stepped(fitted, self._share(found.step) * (TURNED if turned else 1.0), left != 0.0)
             before = change
-            settled = settled and gained < self.tolerance[1]
+            settled = left == 0.0 and gained < self.tolerance[1] and bool((np.abs(change) <= self.tolerance[0]).all())
             left *= 1 - share
-            at_kink = bool(self.unknowns.rod.surroundings) and share < SHORTENED and gained < self.tolerance[1] and left == 0.0
+            at_kink = among and share < SHORTENED and gained < self.tolerance[1] and left == 0.0
             if done := at_kink and bool((np.abs(change) <= AT_KINK).all()):
                 break
-            if share < LEAST_SHARE:  # no progress: rods snap, or rounding decides whether the posterior rises
+            if share < LEAST_SHARE and (settled or left or not among):  # rods snap, or rounding decides whether F rises
                 done = settled
+                break
+            kinked = self._with_other_side(fitted, trial) if share == 0.0 else None
+            if kinked:
+                continue
+            if share == 0.0:
                 break
             now = settled or tried == 1 or self.unknowns.rod.rolls_known  # others would spend most of the time on it
             trial, again = self._misfits_relaxed_again(trial) if now else (trial, False)
@@ -256,6 +261,15 @@ class Fit:
         scales = evidence.best(state.scales, SCALE_STEPS)
         state = replace(state, scales=scales, used=used)
         return Fitted(self, state, evidence, evidence.posterior(scales), linear, rest, False, 0)
+
+    def _with_other_side(self, fitted: Fitted, trial: State) -> Fitted | None:
+        """``fitted`` with the linear model around ``trial`` too, just beyond a kink; None where other rods count there."""
+        linear, used = self.comparison.linear(trial.solution, trial.values, trial.used, self.rods is None)
+        if not np.array_equal(used, fitted.state.used):
+            return None
+        ahead = self.unknowns.offset(trial.values, self.origin) - fitted.evidence.offset
+        evidence = fitted.evidence.with_other_side(linear, ahead, fitted.state.scales)
+        return replace(fitted, evidence=evidence, posterior=evidence.posterior(fitted.state.scales))
 
     def shares(self, state: State, linear: tuple[Residuals, ...]) -> tuple[np.ndarray, float, np.ndarray]:
         """(D,) the probability of each row among those that stand for the same observation, given the present unknowns; what
@@ -295,7 +309,7 @@ class Fit:
             if unknowns.rod.by_observation(kept).any(axis=1)[counted].all() and (moving or gained >= 0):
                 return trial, share, gained
             share *= SHORTENED
-        return state, 0.0, 0.0
+        return trial, 0.0, 0.0
 
     def _objective(self, state: State, used: np.ndarray, rest: np.ndarray) -> float:
         """−2 ln of the posterior without its constant, the gap integrated out, over the rods ``used``; ``rest`` (D,) as in
@@ -310,17 +324,7 @@ class Fit:
 
     def _of_rods(self, state: State, scales: Scales) -> np.ndarray:
         """(D,) the part of that of each observation: its residuals, and the errors of its clamps."""
-        gap = self.comparison.gap_weight(scales)
-        total = np.zeros(len(state.used))
-        for name, kind in zip(("marks", "frames"), state.residuals, strict=False):
-            rows = kind / scales[name]
-            total += (rows**2).sum(axis=1)
-            if name == "marks":
-                total -= ((rows @ gap) ** 2).sum(axis=1)
-        if not self.unknowns.rod.exact:
-            sizes = np.array([scales[name] if name else np.inf for name in self.unknowns.rod.pose_scales])
-            total += ((state.values.scatter / sizes) ** 2).sum(axis=1)
-        return total
+        return self.comparison.squares(state.residuals, state.values.scatter, scales)
 
     def _misfits_relaxed_again(self, state: State) -> tuple[State, bool]:
         """``state`` with its misfits relaxed from their observations, where that halves their squares, and whether any was."""

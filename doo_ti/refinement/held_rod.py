@@ -179,32 +179,62 @@ class HeldRod:
             yield position, frame, turn, (turned_about_tangent(frame, pose[:, 0]) if rolled else frame) @ rotation_matrix(turn)
 
     def mesh_clamps(self, lengths: Lengths, pose: np.ndarray) -> Clamps:
-        """The clamps of the mesh, off their reported poses by ``pose`` (D, Q)."""
-        mesh, positions, frames = self.mesh(lengths), [], []
+        """The clamps of the mesh, off their reported poses by ``pose`` (D, Q), but outside of obstacles."""
+        edge = self.mesh(lengths).edge
+        frames = [now for *_, now in self.ends(pose)]
+        positions = [place + self._push(end, place, frames[end], edge)[0]
+                     for end, place in enumerate(self._places(lengths, pose))]
+        return Clamps(self.held.start, self.held.end, *positions, *frames)
+
+    def _places(self, lengths: Lengths, pose: np.ndarray) -> list[np.ndarray]:
+        """(D, 3) of each clamp of the mesh, as it would be without obstacles."""
+        edge, places = self.mesh(lengths).edge, []
         for end, (position, frame, _, now) in enumerate(self.ends(pose)):
             position = position + np.einsum("dij,dj->di", frame, pose[:, 6 + 3 * end : 9 + 3 * end])
             if self.clamped[end]:
-                position = position + INWARDS[end] * (lengths.clip[end] * frame[..., 0] - 0.5 * mesh.edge * now[..., 0])
-            positions.append(position)
-            frames.append(now)
-        return Clamps(self.held.start, self.held.end, *positions, *frames)
+                position = position + INWARDS[end] * (lengths.clip[end] * frame[..., 0] - 0.5 * edge * now[..., 0])
+            places.append(position)
+        return places
+
+    def _push(self, end: int, place: np.ndarray, frame: np.ndarray, edge: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """What moves the loosely held ``end`` out of obstacles: where it lies on one it cannot be held any deeper. (D, 3) the
+        shift; its direction, zero where there is none; and (D,) the share of the held edge from ``place`` to its vertex that
+        was deepest."""
+        shift, normal, share = np.zeros_like(place), np.zeros_like(place), np.zeros(len(place))
+        if self.loose[6 + 3 * end] == 0:
+            return shift, normal, share
+        along = INWARDS[end] * edge * frame[..., 0] * float(self.clamped[end])
+        held, rows = np.stack([place, place + along], axis=1), np.arange(len(place))
+        for obstacle in self.surroundings.bodies:
+            distance, outward = obstacle.distance(held + shift[:, None])
+            depth = np.reshape(self.surroundings.radius, (-1, 1)) - distance
+            deepest = depth.argmax(axis=1)
+            inside = depth[rows, deepest] > 0
+            normal[inside], share[inside] = outward[rows, deepest][inside], deepest[inside]
+            shift[inside] += (depth[rows, deepest][:, None] * normal)[inside]
+        return shift, normal, share
 
     def clamp_slopes(self, lengths: Lengths, pose: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Derivatives of the clamps of the mesh by the lengths and the poses: displacements (2, D, 3, GEOMETRY + Q) of the
         start's and the end's vertex, and rotations in the world (2, D, 3, GEOMETRY + Q)."""
         mesh, count = self.mesh(lengths), self.observations.count
         moved, turned = np.zeros((2, 2, count, 3, GEOMETRY + POSE))
-        for end, (_, frame, turn, now) in enumerate(self.ends(pose)):
+        for end, (place, (_, frame, turn, now)) in enumerate(zip(self._places(lengths, pose), self.ends(pose), strict=True)):
             first = GEOMETRY + 3 * end
             moved[end][..., first + 6 : first + 9] = frame
             turned[end][..., first : first + 3] = now @ right_jacobian(turn)
             if end == 1 and self.rolled_together:
                 turned[end][..., GEOMETRY] = frame[..., 0]
+            along = np.zeros_like(moved[end])  # of the held edge
             if self.clamped[end]:
-                half, tangent = INWARDS[end] * 0.5, now[..., 0]
+                tangent = now[..., 0, None]
+                along[..., :GEOMETRY] = tangent * mesh.edge_slope
+                along += mesh.edge * np.cross(turned[end], tangent, axis=1)
+                along *= INWARDS[end]
                 moved[end][..., end] += INWARDS[end] * frame[..., 0]
-                moved[end][..., :GEOMETRY] -= half * tangent[..., None] * mesh.edge_slope
-                moved[end] -= half * mesh.edge * np.cross(turned[end], tangent[..., None], axis=1)
+                moved[end] -= 0.5 * along
+            _, normal, share = self._push(end, place, now, mesh.edge)
+            moved[end] -= normal[..., None] * (normal[:, None] @ (moved[end] + share[:, None, None] * along))
         return moved, turned
 
     def relaxed(self, material: Material, lengths: Lengths, pose: np.ndarray, up: np.ndarray, solver: Newton,

@@ -14,7 +14,7 @@ marks are in mm, or in units of σ where the observations state it; those of dir
 Axes: D observations, M marks, N residuals of one kind in each observation, P unknowns, Q effects, G smooth displacements.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 
@@ -71,6 +71,11 @@ class Moments:
             residuals.scale, float(share @ (residuals.values**2).sum(axis=1)), shared.T @ shared, (transposed @ values)[..., 0],
             effects @ residuals.shared, effects @ residuals.effects,
             (effects @ values)[..., 0], float(share @ residuals.count))
+
+    def averaged(self, other: "Moments", weight: float) -> "Moments":
+        """The mean of both, ``other`` with ``weight``."""
+        return Moments(self.scale, *((1 - weight) * getattr(self, field.name) + weight * getattr(other, field.name)
+                                     for field in fields(self)[1:]))
 
 
 @dataclass(frozen=True)
@@ -152,6 +157,21 @@ class Comparison:
                 r = r - (z[..., :POSE] @ values.scatter[..., None])[..., 0]
             found.append(Residuals(name, r, np.where(keep > 0, keep * j, 0.0), z, np.where(used, count, 0.0)))
         return tuple(found), used
+
+    def squares(self, residuals: tuple[np.ndarray, ...], scatter: np.ndarray, scales: Scales) -> np.ndarray:
+        """(D,) of ``residuals`` as :meth:`values` returns them, the gap integrated out, and of the errors of the clamps, each
+        over its size."""
+        gap = self.gap_weight(scales)
+        total = np.zeros(len(scatter))
+        for name, kind in zip(("marks", "frames"), residuals, strict=False):
+            rows = kind / scales[name]
+            total += (rows**2).sum(axis=1)
+            if name == "marks":
+                total -= ((rows @ gap) ** 2).sum(axis=1)
+        if not self.unknowns.rod.exact:
+            sizes = np.array([scales[name] if name else np.inf for name in self.unknowns.rod.pose_scales])
+            total += ((scatter / sizes) ** 2).sum(axis=1)
+        return total
 
     def gap_weight(self, scales: Scales) -> np.ndarray:
         """(3 M, 3 G) C of rᵀ(σ² + δ²ΦΦᵀ)⁻¹r = (|r|² − |rᵀC|²)/σ², Φ the smooth displacements and δ the size ``gap``: one C for

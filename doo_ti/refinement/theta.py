@@ -16,8 +16,13 @@ marginal likelihood (:mod:`doo_ti.refinement.evidence`).
     any_turn, any_roll, any_twist, any_shift   what is not reported of a clamp's pose in one observation: its direction, its
                     roll, the angle by which the rod is twisted, rad, and its place, mm. So wide that the marks decide; not
                     learned, except the roll's where it is kept (:func:`doo_ti.refinement.rolls.kept`)
+
+The sizes are found by BFGS with Powell's damping and projected steps (Nocedal and Wright, *Numerical Optimization*, 2006, §6.1
+and procedure 18.2). Unlike SciPy's L-BFGS-B it begins with a known Hessian, and returns the one it has learned: the next of
+many similar searches then takes one or two evaluations.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Annotated
 
@@ -28,6 +33,11 @@ from doo_ti.rod.types import Material
 from doo_ti.system.arguments import short_repr, typed
 from doo_ti.system.errors import InputError, require_whole
 
+LONGEST = 1.5  # largest change of a variable in one step
+SHORTENED, SHORTEST = 0.3, 1e-3
+"""Factor by which a step that does not lower the function enough is shortened, and the smallest share that is tried."""
+ARMIJO = 1e-4  # least decrease over that which the gradient promises
+DAMPED = 0.2  # least curvature along a step over that of the present Hessian
 RATIO = 0.8  # twist over bend stiffness of a common rod
 
 
@@ -168,3 +178,45 @@ def typical_scales(length: float, spacing: float, learned: set[str], fixed: dict
     value = np.array([fixed.get(name, typical[name]) for name in NAMES])
     return Scales(value, np.array([typical[name] for name in NAMES]), np.array([factor.get(name, 1.5) for name in NAMES]),
                   np.array([name in learned for name in NAMES]))
+
+
+# --- the search for the sizes ---------------------------------------------------------------------------------------------
+
+
+def minimised(function: Callable[[np.ndarray], tuple[float, np.ndarray]], x: np.ndarray, bounds: tuple[np.ndarray, np.ndarray],
+              hessian: np.ndarray, steps: int, enough: float) -> tuple[np.ndarray, np.ndarray]:
+    """``x`` (N,) where ``function``, which returns its value and gradient, is least within ``bounds``, and its Hessian there.
+
+    Ends after ``steps``, or where the next step promises, or the last one gained, less than ``enough``."""
+    value, gradient = function(x)
+    for _ in range(steps):
+        free = np.where(gradient > 0, x > bounds[0], x < bounds[1])  # not held by its bound
+        step = np.zeros_like(x)
+        step[free] = -np.linalg.solve(hessian[np.ix_(free, free)], gradient[free])
+        if -gradient @ step < enough:
+            break
+        step = step * min(1.0, LONGEST / np.abs(step).max())
+        share, lower = 1.0, False
+        while not lower and share > SHORTEST:
+            trial = np.clip(x + share * step, *bounds)
+            its_value, its_gradient = function(trial)
+            lower = its_value <= value + ARMIJO * gradient @ (trial - x)
+            share *= SHORTENED
+        if not lower:
+            break
+        hessian = _updated(hessian, trial - x, its_gradient - gradient)
+        gained, x, value, gradient = value - its_value, trial, its_value, its_gradient
+        if gained < enough:
+            break
+    return x, hessian
+
+
+def _updated(hessian: np.ndarray, step: np.ndarray, change: np.ndarray) -> np.ndarray:
+    """The Hessian with ``change`` of the gradient along ``step``, damped so that it stays positive definite."""
+    along = hessian @ step
+    curvature, present = step @ change, step @ along
+    if curvature < DAMPED * present:
+        share = (1 - DAMPED) * present / (present - curvature)
+        change = share * change + (1 - share) * along
+        curvature = step @ change
+    return hessian - np.outer(along, along) / present + np.outer(change, change) / curvature

@@ -77,8 +77,8 @@ def test_what_is_printed_agrees_with_itself():
     assert "with bend 2e+07 mm³" in text and "predicts as well" in text and "--parameters bend,twist" in text
     text = "\n".join(summary_lines(summary([], -2.28, 4.6e-11)))
     assert "e-11" not in text and "straight" in text and "predicts" not in text
-    text = "\n".join(summary_lines(summary([], -2.28, 0.0) | {"converged": False, "loaded": True}))
-    assert "sweeps know no --mass" in text and "doo-ti sweep" not in text
+    text = "\n".join(summary_lines(summary([], -2.28, 0.0) | {"converged": False, "loaded": True, "long_clips": ["clip_end"]}))
+    assert "clip_end ends beyond" in text and "sweeps know no --mass" in text and "doo-ti sweep" not in text
     for high, said in ((2e7, False), (None, True)):
         bend = {"name": "bend", "value": 1e7, "low": 1e6, "high": high, "unit": "mm³"}
         assert ("check --up" in "\n".join(summary_lines(summary([], -2.28, 0.0) | {"parameters": [bend]}))) is said

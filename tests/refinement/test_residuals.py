@@ -101,11 +101,12 @@ RIBBON = Theta([[6e5, 1e5], [1e5, 3e5]], 3e5, 1.2, up=np.array([0.1, -0.05, 1.0]
     (TRUTH, ("bend", "twist"), (None, Clamp.FREE), {"table": 4.0, "uneven": True}),
     (TRUTH, ("bend", "weight"), (None, Clamp.FREE), {"bodies": [9, 20]}),
     (TRUTH, ("bend", "twist"), (None, Clamp.FREE), {"table": 4.0, "bodies": [20]}),
-    (TRUTH, ("bend", "twist"), (None, Clamp.FREE), {"table": 4.0})])
+    (TRUTH, ("bend",), (None, None), {"table": -0.1}), (TRUTH, ("bend", "twist"), (None, Clamp.FREE), {"table": 4.0})])
 def test_residuals_follow_the_unknowns(rng, theta, parameters, kinds, fields):
     """J and Z of :class:`doo_ti.refinement.residuals.Comparison` by central differences, with clips of unequal lengths, a
     curvature, a stiffness along the rod, spacings that are off, and clamps that are already off, with and without reported
-    frames; of rods that a table holds up, of which nothing goes along when their start is lifted; with bodies at marks."""
+    frames; of rods that a table holds up, of which nothing goes along when their start is lifted, or of which the
+    start lies on the table and cannot be lower; with bodies at marks."""
     seen = suture(2, frames=fields.get("with_frames", False)).take([0, 1, 4])
     seen = replace(seen, spacing_error=0.02, **dict.fromkeys(fields.pop("bare", ()), None))
     rod, higher = held(seen, 34, kinds), fields.pop("table", None)
