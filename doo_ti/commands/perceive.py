@@ -75,9 +75,11 @@ def run(options: Namespace) -> int:
         detected = [detected[row] for row in rows]
         growth = GrowthSteps(0 if options.no_recording else options.recorded)
         found = _perceived(begun, search, detected, seed_sigma, growth, bar)
+        found = replace(found, length_range=np.broadcast_to(length_range, found.length_range.shape))
         if np.ptp(length_range) > 0:  # a stated length may be that of a part
-            found = replace(found, length_range=np.broadcast_to(length_range, found.length_range.shape),
-                            beyond=thread_beyond(task.sets.rig, found.configuration, detected, seed_sigma > 0))
+            cameras, views = task.sets.rig.cameras, zip(detected, begun.sets.paths, strict=True)
+            lines = [task.sight.with_opposite(*view, cameras) for view in views]
+            found = replace(found, beyond=thread_beyond(task.sets.rig, found.configuration, lines, seed_sigma > 0))
     doubts.warn_of_axes(options, task.sets.rig)
     image_options.warn_of_rig(options, begun.sets, begun.rest_length.sum(), found.verdict, found.camera_error, detected)
     task, every = replace(task, rest_length=begun.rest_length), found.among(rows, task.sets.count)
@@ -318,7 +320,7 @@ def _set_text(entry: dict, cameras: tuple[str, ...]) -> str:
     """One set of images of the ``cameras`` as text."""
     if entry["failed"] is not None:
         return f"no rod: {entry['failed']}"
-    seen = np.isfinite(entry["camera_error_px"])
+    seen, length = np.isfinite(entry["camera_error_px"]), entry["length_mm"]
     pixels = " ".join(f"{value:.2f}" if one else "unseen" for value, one in zip(entry["camera_error_px"], seen, strict=True))
     rival = f"gap {entry['gap_px']:.2g} px" if np.isfinite(entry["gap_px"]) else "no rival"
     parts = [f"E_vis {entry['energy_vis']:.3g}/mm", pixels + " px off" * bool(seen.any()), f"{entry['verdict']} ({rival})",
@@ -333,14 +335,12 @@ def _set_text(entry: dict, cameras: tuple[str, ...]) -> str:
               if share > OUTSIDE]
     if np.isfinite(entry["length_range_mm"]).all():
         parts.append("length found, {:.4g} to {:.4g} mm".format(*entry["length_range_mm"]) + " at a bound" * entry["bounded"])
-    if abs(entry["thread_length_mm"] / entry["length_mm"] - 1) > LEFT_OVER:
+    if abs(entry["thread_length_mm"] / length - 1) > LEFT_OVER:
         parts.append(f"the thread is {entry['thread_length_mm']:.4g} mm long")
-    if entry["left_over_mm"] > LEFT_OVER * entry["length_mm"]:
+    if entry["left_over_mm"] > LEFT_OVER * length:
         parts.append(f"{entry['left_over_mm']:.3g} mm of thread left over")
-    for more, end in zip(entry["beyond_mm"], ("start", "end"), strict=True):
-        if more > LEFT_OVER * entry["length_mm"]:
-            parts.append(f"the thread may go on beyond the rod's {end} by {more:.3g} mm, "
-                         f"{100 * more / (more + entry['length_mm']):.0f} % of it")
+    parts += [f"the thread may go on beyond the rod's {end} by {more:.3g} mm, {100 * more / (more + length):.0f} % of it"
+              for more, end in zip(entry["beyond_mm"], ("start", "end"), strict=True) if more > LEFT_OVER * length]
     if entry["unsupported_edges"]:
         parts.append(f"{entry['unsupported_mm']:.3g} mm of rod unseen")
     if entry["status"] != "converged" or not entry["stable"]:

@@ -262,7 +262,8 @@ def _lines_beyond(line: Chains, image: np.ndarray) -> np.ndarray:
     if not line.points or not np.isfinite(image).all():
         return np.zeros(2)
     every, chain, place = _numbered(line.points)
-    along = unit_vectors(np.concatenate([np.gradient(points, axis=0) for points in line.points])) @ outward(image, 1)
+    padded = [np.pad(points, ((1, 1), (0, 0)), mode="edge") for points in line.points]
+    along = unit_vectors(np.concatenate([points[2:] - points[:-2] for points in padded])) @ outward(image, 1)
     on = ~nearest_place(every, image)[1] & (np.abs(along) >= ALIKE)
     if not on.any():
         return np.zeros(2)
