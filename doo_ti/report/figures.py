@@ -91,7 +91,7 @@ def _draw_image(axes, camera, seen: SeenRod, column: int) -> None:
     around = np.concatenate([detected] + [pixels for pixels, _ in projected])
     corner = np.array([width - 0.5, height - 0.5])
     low, high = canvas.box(np.clip(around, -0.5, corner))
-    margin = np.maximum(MARGIN_PX, MARGIN * (high - low))
+    margin = max(MARGIN_PX, MARGIN * float((high - low).max()))
     low, high = np.maximum(low - margin, -0.5), np.minimum(high + margin, corner)
     axes.set(xlim=(low[0], high[0]), ylim=(high[1], low[1]))
     axes.tick_params(labelsize=6, length=2, pad=1)
