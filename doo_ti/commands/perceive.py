@@ -61,6 +61,7 @@ def run(options: Namespace) -> int:
     out, (task, truth) = options.out, image_options.rods_of_sets(options)
 
     from doo_ti.perception.perceive import PerceptionOptions
+    from doo_ti.vision.paths import thread_beyond
 
     chosen = {"nu": options.nu, "hypotheses": options.hypotheses, "evidence": options.evidence}
     search = PerceptionOptions(**{name: value for name, value in chosen.items() if value is not None})
@@ -75,6 +76,10 @@ def run(options: Namespace) -> int:
         growth = GrowthSteps(0 if options.no_recording else options.recorded)
         found = _perceived(begun, search, detected, seed_sigma, growth, bar)
         found = replace(found, length_range=np.broadcast_to(length_range, found.length_range.shape))
+        if np.ptp(length_range) > 0:  # a stated length may be that of a part
+            cameras, views = task.sets.rig.cameras, zip(detected, begun.sets.paths, strict=True)
+            lines = [task.sight.with_opposite(*view, cameras) for view in views]
+            found = replace(found, beyond=thread_beyond(task.sets.rig, found.configuration, lines, seed_sigma > 0))
     doubts.warn_of_axes(options, task.sets.rig)
     image_options.warn_of_rig(options, begun.sets, begun.rest_length.sum(), found.verdict, found.camera_error, detected)
     task, every = replace(task, rest_length=begun.rest_length), found.among(rows, task.sets.count)
@@ -121,8 +126,7 @@ def _begun(task: SeenRods, search, detected: list[list], failed: dict[int, Input
         threads = whole_threads(sets.rig, [detected[row] for row in rows], sets.point, sets.direction, task.material, task.up,
                                 search)
         lost = np.isnan(threads.direction).any(axis=1)
-        if rest_length is None and np.isnan(threads.length).all():
-            lost[:] = True
+        lost |= rest_length is None and np.isnan(threads.length).all()
         for row in rows[lost]:
             failed[int(row)] = InputError(_source(task.sets, row), "seed", "no thread can be followed from it",
                                           "give another, or --rest-length and a seed with a direction")
@@ -204,7 +208,7 @@ def _arrays(task: SeenRods, found) -> dict[str, np.ndarray]:
         **{name: getattr(found, name) for name in ("energy_vis", "status", "stable", "coverage", "outside", "hidden", *MISREAD,
                                                    "verdict", "unsupported")},
         "camera_error_px": found.camera_error, "thread_length_mm": found.thread_length, "left_over_mm": found.left_over,
-        "length_range_mm": found.length_range, "gap_px": found.gap, "runner_up_mm": found.runner_up,
+        "length_range_mm": found.length_range, "beyond_mm": found.beyond, "gap_px": found.gap, "runner_up_mm": found.runner_up,
         "runner_up_energy_vis": found.runner_up_energy,
     }
 
@@ -237,9 +241,8 @@ def _shown(options: Namespace, task: SeenRods, truth: np.ndarray | None, detecte
         rival, next_best = None, "no other rod"
         if np.isfinite(found.gap[row]):
             rival, next_best = found.runner_up[row, 0], f"next best {found.gap[row]:.2g} px worse"
-        true = None if truth is None else truth[row]
-        return SeenRod(task.sets.names[row], images, marks, found.configuration.vertices[row], rival, true,
-                       f"{_word(found.verdict[row])}, {next_best}")
+        return SeenRod(task.sets.names[row], images, marks, found.configuration.vertices[row], rival,
+                       None if truth is None else truth[row], f"{_word(found.verdict[row])}, {next_best}")
 
     if len(there) and not options.no_picture:
         picture = out.with_suffix(".png")
@@ -272,6 +275,7 @@ def _summary(task: SeenRods, truth: np.ndarray | None, detected: list[list], fou
         "doubts": [doubt for doubt, rows in found.doubts.items() if rows[row]],
         "thread_length_mm": found.thread_length[row], "left_over_mm": found.left_over[row],
         "length_range_mm": found.length_range[row], "bounded": task.length_bounds.limits(task.rest_length),
+        "beyond_mm": found.beyond[row],
         "unsupported_edges": found.unsupported[row].sum(), "unsupported_mm": task.rest_length[found.unsupported[row]].sum(),
         "mean_sigma_mm": found.sigma[row].mean() if found.sound[row] else None,
         **({} if error is None else {"mean_error_mm": error[row].mean(), "largest_error_mm": error[row].max()}),
@@ -307,8 +311,7 @@ def _lines(summary: dict) -> list[str]:
         *results.shortened(listed, MOST_LISTED, "  and {} more, which --json lists"), *results.rows(
             ("status", f"{results.status_text(summary['status'])}; {summary['stable']} certified stable"),
             ("verdicts", f"{results.status_text(summary['verdicts'])} (docs/commands/perceive.md)"),
-            ("one camera", len(summary["cameras"]) == 1 and
-             "depth is not determined by it: only by the rod's length and stiffness"),
+            ("one camera", len(summary["cameras"]) == 1 and "it shows no depth: only the rod's length and stiffness say it"),
             ("stiffness", guess and f"none given: bend {guess:g} mm³ (docs/commands/perceive.md)"),
             ("orientation", summary["orientation"]))]
 
@@ -317,7 +320,7 @@ def _set_text(entry: dict, cameras: tuple[str, ...]) -> str:
     """One set of images of the ``cameras`` as text."""
     if entry["failed"] is not None:
         return f"no rod: {entry['failed']}"
-    seen = np.isfinite(entry["camera_error_px"])
+    seen, length = np.isfinite(entry["camera_error_px"]), entry["length_mm"]
     pixels = " ".join(f"{value:.2f}" if one else "unseen" for value, one in zip(entry["camera_error_px"], seen, strict=True))
     rival = f"gap {entry['gap_px']:.2g} px" if np.isfinite(entry["gap_px"]) else "no rival"
     parts = [f"E_vis {entry['energy_vis']:.3g}/mm", pixels + " px off" * bool(seen.any()), f"{entry['verdict']} ({rival})",
@@ -332,10 +335,12 @@ def _set_text(entry: dict, cameras: tuple[str, ...]) -> str:
               if share > OUTSIDE]
     if np.isfinite(entry["length_range_mm"]).all():
         parts.append("length found, {:.4g} to {:.4g} mm".format(*entry["length_range_mm"]) + " at a bound" * entry["bounded"])
-    if abs(entry["thread_length_mm"] / entry["length_mm"] - 1) > LEFT_OVER:
+    if abs(entry["thread_length_mm"] / length - 1) > LEFT_OVER:
         parts.append(f"the thread is {entry['thread_length_mm']:.4g} mm long")
-    if entry["left_over_mm"] > LEFT_OVER * entry["length_mm"]:
+    if entry["left_over_mm"] > LEFT_OVER * length:
         parts.append(f"{entry['left_over_mm']:.3g} mm of thread left over")
+    parts += [f"the thread may go on beyond the rod's {end} by {more:.3g} mm, {100 * more / (more + length):.0f} % of it"
+              for more, end in zip(entry["beyond_mm"], ("start", "end"), strict=True) if more > LEFT_OVER * length]
     if entry["unsupported_edges"]:
         parts.append(f"{entry['unsupported_mm']:.3g} mm of rod unseen")
     if entry["status"] != "converged" or not entry["stable"]:

@@ -52,12 +52,12 @@ LOST_PX = 3.0  # bound of the largest distance where no two cameras fit: a rod f
 class PerceptionVerdict(IntEnum):
     """How certain the best rod is, by its gap to the best runner-up and its distance to the detection.
 
-    CLEAR      there are no :attr:`Perception.doubts`: images alone separate it from others, by a gap of 0.1 px, and it is a
-               certified minimum within 1 px of the line in each camera, which explains 95 % of it and is certain to 1 mm
+    CLEAR      no :attr:`Perception.doubts`: images alone separate it from others, by 0.1 px, and it is a certified minimum
+               within 1 px of the line in each camera, which explains 95 % of it and is certain to 1 mm
     LIKELY     a gap of at least 0.02 px, to which the rod's energy may help; or a wider gap, but the rod is off the line
-    AMBIGUOUS  either of two may be the rod; or there is one camera, which shows no depth; or it has not converged, is shorter
-               than its paths, or in all cameras but one explains less than half of the line, leaves a piece out or passes along
-               it twice; or a tenth of it is in no camera or beyond the thread's end, or a vertex is uncertain by as much
+    AMBIGUOUS  either of two may be the rod; or there is one camera, without depth; or it has not converged, is shorter than its
+               paths, or in all cameras but one explains less than half of the line, leaves a piece out or passes it twice; or a
+               tenth is in no camera or beyond the thread's end, or of a found length goes on, or a vertex is as uncertain
     NOT_FOUND  mean distance above 1 px in all cameras but one and above 3 px in one, also without the edges that no camera
                shows, or more than half of all are such edges: other cameras, a wrong rig, seed or length
     """
@@ -75,8 +75,7 @@ class Perception:
     vertices          (A, V, 3) mm: the best rod of each set at its marks, a certified minimum if there is one
     configuration     the same rod with every edge in pieces, as it was relaxed
     energy_vis        (A,) its E_vis, 1/mm
-    camera_error      (A, C) px: its distance to the detection, mean along what is not hidden of it, in each camera; 0 is a
-                      perfect fit
+    camera_error      (A, C) px: its distance to the detection, mean along what is not hidden of it, in each camera
     hidden            (A, C) share of its image that is far from the detection there, while two other cameras see it
     status            (A,) Status of its last relaxation
     stable            (A,) bool: certified to be a minimum of E_vis
@@ -99,8 +98,8 @@ class Perception:
     thread_length     (A,) mm from the seed to where the thread ends in the images; NaN where the best rod was not traced and
                       thread is left over. With rods of another length, the best is part of it, or goes on beyond it
     left_over         (A,) mm of thread that the rod leaves over: beyond its end or, if not traced, at most in any camera
-    length_range      (A, 2) mm: the shortest and the longest thread that explains the images as well; NaN where the length was
-                      stated
+    length_range      (A, 2) mm: the shortest and the longest thread that explains the images as well; NaN of a stated one
+    beyond            (A, 2) mm of thread that may go on beyond its start and its end, of a length that was found; else NaN
     """
 
     __repr__ = short_repr
@@ -126,6 +125,7 @@ class Perception:
     thread_length: np.ndarray
     left_over: np.ndarray
     length_range: np.ndarray
+    beyond: np.ndarray
 
     @property
     def sound(self) -> np.ndarray:
@@ -145,7 +145,8 @@ class Perception:
             "thread unexplained": (self.coverage < COVERED).any(axis=1) | (self.left_over > CERTAIN_LENGTH * length),
             "places uncertain": (self.sigma > CERTAIN_MM).any(axis=1), "one camera": np.full(len(self.gap), self._two == 0),
             "another length": np.abs(self.thread_length / length - 1) > SAME_LENGTH,
-            "length uncertain": np.ptp(self.length_range, axis=1) > 2 * CERTAIN_LENGTH * length}
+            "length uncertain": np.ptp(self.length_range, axis=1) > 2 * CERTAIN_LENGTH * length,
+            "thread beyond an end": self.beyond.max(axis=1) > CERTAIN_LENGTH * length}
 
     @property
     def _two(self) -> int:
@@ -180,12 +181,11 @@ class Perception:
         lost = far_off & self._far_off(self.shown_error)  # else cameras do not show all of it
         explained = np.sort(np.nan_to_num(self.coverage, nan=1.0), axis=1)[:, -1 - self._two]
         likely = (self.status == Status.CONVERGED) & (self.gap >= AMBIGUOUS_PX) & ~far_off & (self._two > 0)
-        # Of a longer thread a rod explains a part.
-        whole, part = LEAST_COVERED
+        whole, part = LEAST_COVERED  # of a longer thread a rod explains a part
         likely &= explained >= np.maximum(whole * np.fmin(1.0, length / self.thread_length), part)
         likely &= ~(self.thread_length > self.length_range[:, 1])  # the length and the paths contradict each other
         likely &= ~(self.thread_length < (1 - UNCERTAIN) * length)  # it ends where no thread is
-        likely &= ~self._often(self.skipped) & ~self._often(self.twice)
+        likely &= ~self._often(self.skipped) & ~self._often(self.twice) & ~(self.beyond.max(axis=1) > UNCERTAIN * length)
         likely &= ~(self.unsupported.mean(axis=1) > UNCERTAIN) & ~(self.sigma.max(axis=1) > UNCERTAIN * length)
         kinds = PerceptionVerdict.NOT_FOUND, PerceptionVerdict.CLEAR, PerceptionVerdict.LIKELY
         return np.select([lost, clear, likely], kinds, PerceptionVerdict.AMBIGUOUS).astype(np.int8)
@@ -326,7 +326,7 @@ def perception_of(search: Search, final: Finalists, best: np.ndarray, others: np
         left_over=left_over(final.thread[best], errors.pop("left"), image_length.sum(axis=2), search.rest_length.sum()),
         **errors,
         thread_length=final.thread[best],
-        length_range=np.full((len(best), 2), np.nan),
+        **dict.fromkeys(("length_range", "beyond"), np.full((len(best), 2), np.nan)),
     )
 
 

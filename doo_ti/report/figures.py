@@ -13,7 +13,7 @@ from doo_ti.vision.cameras import Rig
 BEST, RUNNER_UP, TRUTH, DETECTED = "#2f7bff", "#ff2e4d", "#ffd400", "#00c08b"
 WIDTHS = {TRUTH: 2.8, RUNNER_UP: 1.8, BEST: 1.0}  # points: curves drawn first are wider, so that they stay visible
 MOST_SETS = 12  # rows of a picture
-MARGIN_PX = 40  # margin of the images around the drawn curves
+MARGIN_PX, MARGIN = 40, 0.5  # least margin of the images around what is drawn, in px and over its extent: thread may be missing
 PANEL_INCHES = 3.2
 VIEWS = {"from the front": (0.0, 0.0), "from the side and above": (50.0, 30.0)}
 """Views of ribbons: the angles in degrees by which the viewer moves around to the right and up."""
@@ -91,7 +91,8 @@ def _draw_image(axes, camera, seen: SeenRod, column: int) -> None:
     around = np.concatenate([detected] + [pixels for pixels, _ in projected])
     corner = np.array([width - 0.5, height - 0.5])
     low, high = canvas.box(np.clip(around, -0.5, corner))
-    low, high = np.maximum(low - MARGIN_PX, -0.5), np.minimum(high + MARGIN_PX, corner)
+    margin = max(MARGIN_PX, MARGIN * float((high - low).max()))
+    low, high = np.maximum(low - margin, -0.5), np.minimum(high + margin, corner)
     axes.set(xlim=(low[0], high[0]), ylim=(high[1], low[1]))
     axes.tick_params(labelsize=6, length=2, pad=1)
     axes.locator_params(nbins=5)

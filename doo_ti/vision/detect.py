@@ -129,7 +129,7 @@ def detect(image: np.ndarray, options: DetectionOptions = DetectionOptions()) ->
         return Detection.none(image.shape[:2], options.method)
     if options.colour is not None:
         points, width = between_edges(as_colour(part), found.points, found.direction, found.width_px)
-        found = replace(found, points=points, width_px=width)
+        found = replace(found, points=points, width_px=width, method="colour")
     return replace(moved(found, corner), shape=image.shape[:2])
 
 

@@ -103,7 +103,7 @@ class Detection:
     width_px   median distance between the thread's edges, NaN without a thread
     polarity   "dark" or "light", "" without a thread
     shape      (height, width) of the image
-    method     of :class:`DetectionOptions`, or "mask", "follow"
+    method     of :class:`DetectionOptions`, or "colour", "mask", "follow"
     width      (N,) px: the line's width at each point, of masks and where the thread goes on along something wider; else None
     """
 

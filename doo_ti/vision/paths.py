@@ -11,13 +11,16 @@ import heapq
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
 from scipy.spatial import cKDTree
 
 from doo_ti.rod.frames import arc_lengths, curve_length, placed, unit_vectors
+from doo_ti.rod.types import Configuration
+from doo_ti.vision.cameras import Rig
 from doo_ti.vision.detection import NEAR_PX, NEXT_PX, SHORTEST_PX, Detection, chains_of, outward, single, thinned
-from doo_ti.vision.distance_map import ALIKE, left_out
+from doo_ti.vision.distance_map import ALIKE, MOST_IMAGE_PX, left_out
 
 WIDEST_GAP = 0.3  # of the image's height: the longest gap that a path crosses
 FORWARD = 0.64  # least cosine between the direction of an end and the way to the next
@@ -236,6 +239,49 @@ def line_trees(detections: Sequence[Sequence[Detection]]) -> list[list[tuple[np.
     without any."""
     lines = [[thinned(detection) for detection in images] for images in detections]
     return [[(points, direction, cKDTree(points) if len(points) else None) for points, direction in views] for views in lines]
+
+
+def thread_beyond(rig: Rig, rods: Configuration, detections: Sequence[Sequence[Detection]], from_start: np.ndarray
+                  ) -> np.ndarray:
+    """(A, 2) mm of thread that may go on beyond rods' starts, of those ``from_start`` (A,) bool, and beyond their ends: in the
+    camera that shows most, at the scale of the rod's image. Behind a wide gap two cameras must show it: one may show anything.
+    """
+    beyond, images = np.zeros((len(detections), 2, len(rig.cameras), 2)), rig.project(rods.vertices)
+    for c, row in np.ndindex(images.shape[:2]):
+        line, wide = Chains.of(detections[row][c]), max(NEAR_PX, detections[row][c].width_px)
+        for end, way in enumerate((-1, 1)):
+            if end or from_start[row]:
+                beyond[row, end, c] = _lines_beyond(line, wide, images[c, row, ::way]) / max(curve_length(images[c, row]), 1e-9)
+    behind = np.sort(beyond[..., 1], axis=-1)[..., -2:].min(axis=-1)
+    return np.maximum(beyond[..., 0].max(axis=-1), behind) * rods.rest_length.sum(axis=-1).reshape(-1, 1)
+
+
+def _lines_beyond(line: Chains, wide: float, image: np.ndarray) -> np.ndarray:
+    """(2,) px of line that goes on beyond the end of a rod's ``image`` (V, 2), which is ``wide`` px or less: on the path that
+    explains most for its cost, and where turning in gaps costs nothing. Corners do not count: what a thread ends on goes on to
+    the side."""
+    arc = arc_lengths(image)
+    if not line.points or not arc[-1] <= MOST_IMAGE_PX:
+        return np.zeros(2)
+    rod = cKDTree(placed(np.arange(0.0, arc[-1] + 0.5, 0.5), arc, image))
+    every, chain, place = _numbered(line.points)
+    padded = [np.pad(points, ((1, 1), (0, 0)), mode="edge") for points in line.points]
+    along = unit_vectors(np.concatenate([points[2:] - points[:-2] for points in padded])) @ outward(image, 1)
+    on = (rod.query(every)[0] <= NEAR_PX) & (np.abs(along) >= ALIKE)
+    if not on.any():
+        return np.zeros(2)
+    last = int(np.where(on, np.linalg.norm(every - image[-1], axis=1), np.inf).argmin())
+    way, own = int(along[last] > 0), line.points[chain[last]]
+    rest = own[place[last] :] if way else own[place[last] :: -1]
+    best, most = np.zeros(2), np.full(2, -np.inf)
+    for _, (own, *others), cost in _searched(line.points, line.joints, int(chain[last]), own if way else own[::-1], way, 0.0):
+        joints = [*pairwise([own, *others])]
+        if all(-outward(after, 0) @ outward(before, 1) >= FORWARD for before, after in joints):
+            gaps = sum(np.linalg.norm(after[0] - before[-1]) for before, after in joints)
+            gain = sum(map(curve_length, others)) - np.array([cost, gaps])
+            new = sum(curve_length(piece) * (rod.query(piece)[0] > wide).mean() for piece in (rest, *others))
+            best, most = np.where(gain > most, new, best), np.maximum(gain, most)
+    return best
 
 
 def lines_at(places: np.ndarray, ways: np.ndarray, lines: list[list[tuple[np.ndarray, np.ndarray, cKDTree | None]]]

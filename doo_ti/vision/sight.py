@@ -12,7 +12,7 @@ from scipy.spatial import cKDTree
 from doo_ti.system.errors import InputError
 from doo_ti.vision.cameras import Camera
 from doo_ti.vision.detect import detect, detect_mask
-from doo_ti.vision.detection import CLICK_PX, NEAR_PX, POLARITIES, Detection, DetectionOptions
+from doo_ti.vision.detection import CLICK_PX, METHODS, NEAR_PX, POLARITIES, Detection, DetectionOptions
 from doo_ti.vision.follow import follow
 from doo_ti.vision.images import read_image, read_mask
 from doo_ti.vision.ridge import POINTS_PER_PX, as_colour
@@ -94,6 +94,19 @@ class Sight:
             other = one if one.polarity in ("", first.polarity) or one.method == "mask" else seek.detected(path, camera)
             agreed.append(other if other.count else one)
         return agreed
+
+    def with_opposite(self, found: Sequence[Detection], paths: Sequence[Path], cameras: Sequence[Camera]) -> list[Detection]:
+        """The detections ``found`` in one set, and beside them lines as wide, up to a factor of two, that are dark where the
+        thread is light, or light: one that is lit from a side may turn from lighter to darker than what is behind it."""
+        joined = []
+        for one, path, camera in zip(found, paths, cameras, strict=True):
+            if one.count and one.method in METHODS:
+                other = next(polarity for polarity in POLARITIES if polarity != one.polarity)
+                more = replace(self, options=replace(self.options, polarity=other)).detected(path, camera)
+                if 0.5 <= more.width_px / one.width_px <= 2.0:  # edges of the thread itself are nearer
+                    one = one.with_parts([more.take(cKDTree(one.points).query(more.points)[0] > one.width_px)])
+            joined.append(one)
+        return joined
 
     def detected(self, path: Path, camera: Camera) -> Detection:
         """The thread in the image that ``camera`` took. Raises InputError for files that are missing or do not fit."""

@@ -79,7 +79,7 @@ def test_rods_are_found_and_written(photographed, perceived):
         "sigma_mm": (2, vertices), "energy_vis": (2,), "status": (2,), "stable": (2,), "camera_error_px": (2, 3),
         "coverage": (2, 3), "thread_length_mm": (2,), "left_over_mm": (2,), "length_range_mm": (2, 2), "outside": (2, 3),
         "skipped": (2, 3), "twice": (2, 3), "wider": (2, 3), "hidden": (2, 3), "verdict": (2,), "gap_px": (2,),
-        "unsupported": (2, edges), "runner_up_mm": (2, 4, vertices, 3), "runner_up_energy_vis": (2, 4)}
+        "beyond_mm": (2, 2), "unsupported": (2, edges), "runner_up_mm": (2, 4, vertices, 3), "runner_up_energy_vis": (2, 4)}
     assert (out / "f.png").read_bytes()[:4] == b"\x89PNG"
     static, moving = read(out / "f.rrd")
     assert "/images/set0_first/cam1/truth" in static and not any("second" in entity for entity in (*static, *moving))
@@ -165,7 +165,8 @@ def test_a_click_and_no_length(photographed, tmp_path, capsys):
     assert written("g.npz")["left_over_mm"][0] == pytest.approx(length - 28, abs=3.0)
     assert "of thread left over" in said and "28 to 28 mm at a bound" in said
     u, v = rig.cameras[1].project(rods[0][[EDGES // 2]])[0]
-    assert "begins within the thread" in ended(capsys, [*begin, "--seed-pixel", f"cam1:{u:.0f},{v:.0f}", "--out", "h.npz"])[1]
+    out, err = ended(capsys, [*begin, "--seed-pixel", f"cam1:{u:.0f},{v:.0f}", "--out", "h.npz"])
+    assert "begins within the thread" in err and "may go on beyond the rod's start by" in out and "; ambiguous (" in out
     for change, words in ((["--seed-pixel", "cam9:1,2"], ("cam9", "cam0, cam1, cam2")), (["--length", "9:5"], ("--length",)),
                           (["--seed-pixel", "cam1:1,2"], ("given twice for cam1",)),
                           (["--rest-length", "3:14"], ("--edge", "--rest-length")),

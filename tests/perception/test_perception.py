@@ -101,6 +101,8 @@ def test_the_verdict_is_a_scale_and_one_camera_makes_a_rod_ambiguous(found):
     assert repr(gaps).startswith("Perception(vertices (3, 15, 3)") and "CLEAR" in repr(PerceptionVerdict.CLEAR)
     assert gaps.doubts["a rival"].tolist() == [False, True, True]
     assert gaps.verdict.tolist() == [PerceptionVerdict.CLEAR, PerceptionVerdict.LIKELY, PerceptionVerdict.AMBIGUOUS]
+    beyond = replace(several, gap=np.full(SETS, np.inf), beyond=np.array([[0, 1], [2, 0], [0, 9]]))  # mm, of 42
+    assert beyond.verdict.tolist() == gaps.verdict.tolist()
     blurred = several.camera_error.copy()
     blurred[:, 1] = 1.5
     assert replace(several, gap=np.full(SETS, 9.0), camera_error=blurred).verdict.tolist() == [PerceptionVerdict.LIKELY] * SETS

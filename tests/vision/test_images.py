@@ -70,12 +70,18 @@ def test_alpha_channels_and_masks(tmp_path):
             ("cut.png", Sight(), "mask"), ("plain.png", Sight(), "ridge"),
             ("plain.png", Sight(masks=tmp_path / "masks"), "mask"),
             ("plain.png", Sight(masks={camera().name: tmp_path / "cut.png"}), "mask"),
-            ("plain.png", Sight(DetectionOptions(colour=(40, 40, 40)), {"cam0": (10, 10, 60, 40)}), "ridge")):
+            ("plain.png", Sight(DetectionOptions(colour=(40, 40, 40)), {"cam0": (10, 10, 60, 40)}), "colour")):
         found = sight.detected(tmp_path / name, camera())
         assert found.method == method and found.count > 50
         np.testing.assert_allclose(np.median(found.points[:, 1]), 30, atol=0.2)
         assert found.width_px == pytest.approx(5, abs=1.5)
     check_refused("opaque", Sight(masks=tmp_path / "masks").detected, tmp_path / "opaque.png", camera())
+
+
+def test_a_thread_that_turns_from_lighter_to_darker_is_followed_on(tmp_path):
+    path, camera = of_lines(tmp_path, (320, 120), 110, ((20, 60), (160, 60), [200] * 3, 7), ((160, 60), (300, 60), [40] * 3, 7))
+    light = Sight(DetectionOptions(polarity="light")).detected(path, camera)
+    assert light.points[:, 0].max() < 170 and np.ptp(Sight().with_opposite([light], [path], [camera])[0].points[:, 0]) > 270
 
 
 def of_lines(folder, size: tuple[int, int], background: int, *lines):

@@ -3,10 +3,12 @@
 import numpy as np
 import pytest
 
-from doo_ti.rod.frames import arc_lengths, placed, unit_vectors
+from doo_ti.rod.frames import arc_lengths, curve_length, placed, unit_vectors
+from doo_ti.rod.shapes import rod_along
 from doo_ti.vision.detection import Detection
-from doo_ti.vision.paths import Chains, paths_from
-from tests.vision.scenes import line_of
+from doo_ti.vision.paths import Chains, paths_from, thread_beyond
+from doo_ti.vision.tubes import smooth_curve
+from tests.vision.scenes import bow, line_of, small_rig
 
 SHAPE = (480, 640)
 
@@ -82,3 +84,18 @@ def test_a_point_found_twice_does_not_cut_off_the_end(apart):
 def test_without_a_thread_there_is_no_path():
     nothing = Chains.of(Detection.none(SHAPE, "ridge"))
     assert paths_from(nothing, np.zeros(2), None) == [] and nothing.free_ends.shape == (0, 2)
+
+
+def test_thread_beyond_a_rod_is_found_joined_or_behind_gaps_in_two_cameras_and_other_lines_are_not():
+    rig, curve = small_rig(), smooth_curve(0.7 * bow(), 30)  # 990 points
+    rod, rest, behind, nothing = curve[:600], curve[600:], curve[700:], curve[:0]
+    across = curve[599] + np.linspace(-15, 15, 400)[:, None] * np.array([0.3, 1.0, 0.0])
+
+    def beyond(*more, backwards=False):
+        images = [camera.project(np.concatenate([rod, part])) for camera, part in zip(rig.cameras, more, strict=True)]
+        lines = [line_of(image, shape=(360, 480)) for image in images]
+        return thread_beyond(rig, rod_along(rod[::-1] if backwards else rod, 20), [lines], np.array([backwards]))[0]
+
+    assert beyond(rest, nothing) == pytest.approx([0, curve_length(rest)], rel=0.2) and beyond(behind, behind)[1] > 15
+    assert beyond(rest, rest, backwards=True)[0] > 0.8 * curve_length(rest)
+    assert max(beyond(*more).max() for more in ((nothing, nothing), (across, across), (curve[960:], nothing))) < 1.0
