@@ -108,8 +108,8 @@ WIDTH_RATIO, FAINTEST = 1.5, 0.4
 
 GLINT = 0.5  # widths of a thread that glints within it take at most
 MORE, SAME = 1.1, 0.95
-"""Least ratios of what is found without glints over what is found with them, from which on that is taken: in any case, and where
-it is in fewer pieces. A line that is bent between glint and rim is as long, but in more pieces."""
+"""Least ratios of what is found without glints over what is found with them, from which on that is taken: in any case, and
+where it is in fewer pieces. A line that is bent between glint and rim is as long, but in more pieces."""
 
 
 @typed
@@ -121,7 +121,8 @@ def detect(image: np.ndarray, options: DetectionOptions = DetectionOptions()) ->
     image = np.asarray(image)
     part, corner = image_part(image, options)
     if options.colour is not None:
-        line, polarity = likeness(as_colour(part), likeness_table([lab(np.array(options.colour[::-1]))])), "light"
+        table = likeness_table([lab(np.array(options.colour[::-1]))], shaded=options.shaded)
+        line, polarity = likeness(as_colour(part), table), "light"
     else:
         grey = part if part.ndim == 2 else cv2.cvtColor(as_colour(part), cv2.COLOR_BGR2GRAY)
         line, polarity = grey.astype(np.float32), options.polarity
