@@ -97,14 +97,25 @@ class Sight:
             agreed.append(other if other.count else one)
         return agreed
 
+    def file(self, path: Path, camera: Camera) -> Path:
+        """Where the thread is sought: the mask of the image at ``path``, or that. Raises InputError without a mask."""
+        if self.masks is None:
+            return path
+        return self.masks[camera.name] if isinstance(self.masks, dict) else mask_of(self.masks, path)
+
+    def remedy(self) -> str:
+        """What may help the detection that is not given."""
+        if self.masks is not None:
+            return "mark it in the masks"
+        colour = "--colour R,G,B" if self.clicks is None else "--colour clicked"
+        known = {colour: self.by_colour or self.options.colour, "--polarity": self.options.polarity,
+                 "--width": self.options.width_px, "--masks": None}
+        return f"help the detection: {' or '.join(name for name, value in known.items() if not value)}"
+
     def detected(self, path: Path, camera: Camera) -> Detection:
         """The thread in the image that ``camera`` took. Raises InputError for files that are missing or do not fit."""
         options = replace(self.options, region=self.regions.get(camera.name, self.options.region))
-        file = path
-        if isinstance(self.masks, dict):
-            file = self.masks[camera.name]
-        elif self.masks is not None:
-            file = mask_of(self.masks, path)
+        file = self.file(path, camera)
         mask = read_mask(file, camera)
         if mask is None and self.masks is None:
             return detect(read_image(path, camera, colour=options.colour is not None), options)
