@@ -96,10 +96,12 @@ def _detected(task: SeenRods, bar) -> tuple[list[list], dict[int, InputError]]:
     paths, cameras, detected, failed = task.sets.paths, task.sets.rig.cameras, [], {}
     shown = bar.add_task("detection", total=len(paths) * len(cameras), unit="images")
     for row, (images, found) in enumerate(zip(paths, image_options.detections(task.sight, paths, cameras), strict=True)):
-        empty = next((path for path, detection in zip(images, found, strict=True) if not detection.count), None)
+        empty = next((k for k, detection in enumerate(found) if not detection.count), None)
         if empty is not None:
-            failed[row] = InputError(empty, "image", "no thread was found in it",
-                                     "leave the set out, or give --polarity and --width")
+            mask = found[empty].method == "mask"  # of a file, or the image's own
+            failed[row] = InputError(task.sight.file(images[empty], cameras[empty]), "mask" if mask else "image",
+                                     "no thread was found in it", "leave the set out, or "
+                                     + ("mark the thread in it" if mask else task.sight.remedy()))
         detected.append(found)
         bar.advance(shown, len(found))
     return detected, failed
@@ -117,7 +119,7 @@ def _begun(task: SeenRods, search, detected: list[list], failed: dict[int, Input
     length_range, rest_length = np.full(2, np.nan), task.rest_length
     points, sigma = task.sets.point, np.zeros(task.sets.count)
     if points is None:
-        points, sigma = _clicked_points(task.sets, detected, failed)
+        points, sigma = _clicked_points(task.sets, task.sight.remedy(), detected, failed)
     rows = _left(task.sets, failed)
     sets = replace(task.sets.take(rows), point=points[rows])
     if rest_length is None or sets.direction is None:
@@ -141,11 +143,11 @@ def _begun(task: SeenRods, search, detected: list[list], failed: dict[int, Input
     return replace(task, sets=sets, rest_length=rest_length), rows, length_range, sigma[rows]
 
 
-def _clicked_points(sets, detected: list[list], failed: dict[int, InputError]
+def _clicked_points(sets, remedy: str, detected: list[list], failed: dict[int, InputError]
                     ) -> tuple[np.ndarray, np.ndarray]:
     """(A, 3) mm where the rods of the clicks begin, and (A,) mm how uncertain that is; NaN where none does, which ``failed``
-    gets the reason of."""
-    from doo_ti.perception.seeds import seed_from_pixels
+    gets the reason of, with the ``remedy`` where nothing was detected."""
+    from doo_ti.perception.seeds import HELP, seed_from_pixels
 
     points, sigma = np.full((sets.count, 3), np.nan), np.full(sets.count, np.nan)
     for row in range(sets.count):
@@ -156,7 +158,7 @@ def _clicked_points(sets, detected: list[list], failed: dict[int, InputError]
                 if seed.inside:
                     warn(f"{_source(sets, row)}: no end of the thread is near the pixel: the rod begins within the thread")
         except InputError as error:
-            failed[row] = error
+            failed[row] = InputError(error.source, error.field, error.problem, error.remedy.replace(HELP, remedy))
     return points, sigma
 
 

@@ -32,6 +32,7 @@ from doo_ti.vision.distance_map import distance_maps
 from doo_ti.vision.paths import Chains, paths_from
 from doo_ti.vision.triangulation import rays
 
+HELP = "help the detection: --colour clicked, --polarity, --width or --masks"
 END_PX = 15.0  # an end this near to a click is meant
 EPIPOLAR_PX = 8.0  # an end this near to the epipolar line of a click may be its image
 MOST_ENDS, MOST_CHOICES, FEW_PLACES = 12, 24, 150  # the last of the curves by which rigs are compared
@@ -139,8 +140,7 @@ def _clicked(detection: Detection, line: Chains, click: np.ndarray, source: str)
     nearest = int(apart.argmin())
     if apart[nearest] > CLICK_PX:
         raise InputError(source, "--seed-pixel", f"{click[0]:g},{click[1]:g}: nothing was detected there, the nearest thread "
-                         f"is {apart[nearest]:.0f} px away", "if it is on the thread, help the detection: --colour clicked, "
-                         "--polarity, --width or --masks")
+                         f"is {apart[nearest]:.0f} px away", f"if it is on the thread, {HELP}")
     ends = _ends(detection, line)
     off = [np.linalg.norm(end.pixel - click) for end in ends]
     if min(off, default=np.inf) <= END_PX:

@@ -107,7 +107,9 @@ WIDTH_RATIO, FAINTEST = 1.5, 0.4
 
 
 GLINT = 0.5  # widths of a thread that glints within it take at most
-MORE = 1.1  # least ratio of what is found without glints over what is found with them
+MORE, SAME = 1.1, 0.95
+"""Least ratios of what is found without glints over what is found with them, from which on that is taken: in any case, and
+where it is in fewer pieces. A line that is bent between glint and rim is as long, but in more pieces."""
 
 
 @typed
@@ -119,7 +121,8 @@ def detect(image: np.ndarray, options: DetectionOptions = DetectionOptions()) ->
     image = np.asarray(image)
     part, corner = image_part(image, options)
     if options.colour is not None:
-        line, polarity = likeness(as_colour(part), likeness_table([lab(np.array(options.colour[::-1]))])), "light"
+        table = likeness_table([lab(np.array(options.colour[::-1]))], shaded=options.shaded)
+        line, polarity = likeness(as_colour(part), table), "light"
     else:
         grey = part if part.ndim == 2 else cv2.cvtColor(as_colour(part), cv2.COLOR_BGR2GRAY)
         line, polarity = grey.astype(np.float32), options.polarity
@@ -145,8 +148,8 @@ def _line(image: np.ndarray, look: Appearance, options: DetectionOptions) -> Det
     found, count = _ridge_line(small, in_small, *least)
     if (look.shiny or count != 1) and GLINT * look.width_px >= 2:  # glints may have parted it
         plain = dull(image, look.polarity, GLINT * look.width_px)
-        whole, _ = _ridge_line(_halved(plain, look.width_px)[0], in_small, *least)
-        more = whole.count > MORE * found.count
+        whole, parts = _ridge_line(_halved(plain, look.width_px)[0], in_small, *least)
+        more = whole.count > (SAME if parts < count else MORE) * found.count
         if look.shiny or more and (not found.count or np.median(
                 cKDTree(whole.points).query(found.points)[0]) <= in_small.width_px / 2):
             found, image = whole, plain

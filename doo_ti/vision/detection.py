@@ -30,6 +30,8 @@ class DetectionOptions:
     least_contrast  grey levels between thread and background; lines that differ less are ignored
     shortest_px     shorter visible pieces are regarded as specks
     colour          red, green and blue of the thread, 0 to 255: it is then a light line in the likeness to this colour
+    shaded          whether shading is left out of the colour, so far as the colour is saturated: all of a thread lit from one
+                    side is found, but also other things of its hue
     region          left, top, width and height in px of the part of the image where the thread is; None: all of it
 
     Raises InputError for another method or polarity, numbers that are not positive, and other colours and regions.
@@ -42,6 +44,7 @@ class DetectionOptions:
     shortest_px: float = 10.0
     colour: Sequence[float] | None = None
     region: Sequence[int] | None = None
+    shaded: bool = False
 
     def __post_init__(self) -> None:
         if self.method not in METHODS:

@@ -299,12 +299,26 @@ def lab(colours: np.ndarray) -> np.ndarray:
     return cv2.cvtColor(flat, cv2.COLOR_BGR2LAB).reshape(np.shape(colours))
 
 
-def likeness_table(colours: Sequence[np.ndarray], tolerance: float = TOLERANCE) -> np.ndarray:
-    """(64, 64, 64) float32 likeness, 0 to 255, of blue, green and red to any of the ``colours``, each (3,) in Lab."""
+def likeness_table(colours: Sequence[np.ndarray], tolerance: float = TOLERANCE, shaded: bool = False) -> np.ndarray:
+    """(64, 64, 64) float32 likeness, 0 to 255, of blue, green and red to any of the ``colours``, each (3,) in Lab.
+
+    shaded  less light multiplies (L + 16, a, b), the cube roots of intensities, by a number. Along this line colours are as
+            much nearer as the colour is saturated: what is grey is known by its lightness alone
+    """
     level = (np.arange(_STEPS) + 0.5) * (256 / _STEPS) - 0.5
     cells = lab(np.stack(np.meshgrid(level, level, level, indexing="ij"), axis=-1))
-    nearest = np.min([((cells - np.float32(colour)) ** 2).sum(axis=-1) for colour in colours], axis=0)
+    nearest = np.min([_squared(cells, np.float32(colour), tolerance, shaded) for colour in colours], axis=0)
     return 255 * np.exp(-nearest / tolerance**2, dtype=np.float32)
+
+
+def _squared(cells: np.ndarray, colour: np.ndarray, tolerance: float, shaded: bool) -> np.ndarray:
+    """Squared distances of ``cells`` (..., 3) from a colour (3,), as :func:`likeness_table` takes them."""
+    away = cells - colour
+    square = (away**2).sum(axis=-1)
+    if shaded:
+        chroma = (colour[1:] ** 2).sum() / tolerance**2
+        square -= (away @ unit_vectors(colour + np.float32([16, 0, 0]))) ** 2 * np.float32(chroma / (1 + chroma))
+    return square
 
 
 def likeness(image: np.ndarray, table: np.ndarray) -> np.ndarray:

@@ -194,6 +194,9 @@ def test_wrong_images_are_reported(photographed, tmp_path, capsys):
     argv = of_images(folder, rods[0], "--out", "new/f.npz")
     for image, words in (("blank.png", ("blank.png", "no thread was found")), ("missing.png", ("missing.png", "no such file"))):
         refused(capsys, tmp_path, [*argv[:2], image, *argv[3:]], *words)
+    cv2.imwrite("dark.png", np.zeros((480, 640), dtype=np.uint8))
+    refused(capsys, tmp_path, [*argv, "--masks", *3 * ["dark.png"]], "dark.png: mask: no thread", "mark the thread in it")
+    refused(capsys, tmp_path, [*argv[:2], "blank.png", *argv[3:], "--width", "3"], "--colour R,G,B or --polarity or --masks")
     refused(capsys, tmp_path, [*argv[:2], *argv[3:]], "2 images", "3 cameras", "cam0, cam1, cam2")
     refused(capsys, tmp_path, [word for word in argv if not word.endswith("png")], "IMAGE", "missing")
 

@@ -2,6 +2,7 @@
 drawn by OpenCV, and in photographs that others took."""
 
 from pathlib import Path
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -12,6 +13,7 @@ from doo_ti import DetectionOptions, Rig, detect, detect_mask, follow, load_rig
 from doo_ti.io.scene import load_scene
 from doo_ti.perception.virtual_lab import lab_rods
 from doo_ti.vision.render import render_set
+from doo_ti.vision.sight import Sight
 from doo_ti.vision.tubes import smooth_curve
 from tests.conftest import check_refused
 from tests.vision.scenes import normals
@@ -236,3 +238,14 @@ def test_a_narrow_loop_is_no_glint(seed):
     curve = smooth_curve(rods.curve[rods.names.index("silk_54mm_150deg")], 8)
     recall, precision = shares(detect(render_set(rig, curve, 0.5, seed=seed)[0]).points, rig.project(curve)[0], 2.0)
     assert recall > 0.99 and precision > 0.97
+
+
+def test_a_cable_lit_from_one_side_is_seen_whole_by_its_colour(tmp_path):
+    """Of its colour at the click, of which less than a third is left on the other side, there is a strip only."""
+    camera = SimpleNamespace(name="left", width=SIZE[1], height=SIZE[0], turned=False)
+    curve, file = wave(), tmp_path / "left.png"
+    strips = [(beside(curve, 2 * k - 9), tuple(np.multiply((20, 16, 190), 1 - 0.08 * k)), 3) for k in range(10)]
+    cv2.imwrite(str(file), drawn(*strips, ground=(100, 100, 100)))
+    sight, _ = Sight(clicks=({0: tuple(curve[900])},), by_colour=True).of_set(0, [file], [camera])
+    found = sight.detected(file, camera)
+    assert min(shares(found.points, curve, 2.0)) > 0.9 and 18 < found.width_px < 26
