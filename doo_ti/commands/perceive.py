@@ -143,8 +143,7 @@ def _begun(task: SeenRods, search, detected: list[list], failed: dict[int, Input
     return replace(task, sets=sets, rest_length=rest_length), rows, length_range, sigma[rows]
 
 
-def _clicked_points(sets, remedy: str, detected: list[list], failed: dict[int, InputError]
-                    ) -> tuple[np.ndarray, np.ndarray]:
+def _clicked_points(sets, remedy: str, detected: list[list], failed: dict[int, InputError]) -> tuple[np.ndarray, np.ndarray]:
     """(A, 3) mm where the rods of the clicks begin, and (A,) mm how uncertain that is; NaN where none does, which ``failed``
     gets the reason of, with the ``remedy`` where nothing was detected."""
     from doo_ti.perception.seeds import HELP, seed_from_pixels
@@ -275,9 +274,8 @@ def _summary(task: SeenRods, truth: np.ndarray | None, detected: list[list], fou
         **{name: getattr(found, name)[row] for name in ("stable", "energy_vis", "coverage", "outside", "hidden", *MISREAD)},
         "camera_error_px": found.camera_error[row], "gap_px": found.gap[row], "verdict": _word(found.verdict[row]),
         "doubts": [doubt for doubt, rows in found.doubts.items() if rows[row]],
-        "thread_length_mm": found.thread_length[row], "left_over_mm": found.left_over[row],
+        "thread_length_mm": found.thread_length[row], "left_over_mm": found.left_over[row], "beyond_mm": found.beyond[row],
         "length_range_mm": found.length_range[row], "bounded": task.length_bounds.limits(task.rest_length),
-        "beyond_mm": found.beyond[row],
         "unsupported_edges": found.unsupported[row].sum(), "unsupported_mm": task.rest_length[found.unsupported[row]].sum(),
         "mean_sigma_mm": found.sigma[row].mean() if found.sound[row] else None,
         **({} if error is None else {"mean_error_mm": error[row].mean(), "largest_error_mm": error[row].max()}),
