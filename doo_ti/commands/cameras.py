@@ -22,7 +22,6 @@ from doo_ti.vision.rig_files import save_rig
 from doo_ti.vision.triangulation import WITHIN, MarkStatus, Points, TriangulationOptions, label_scatter, triangulate
 
 MOST_LISTED = 20
-MOST_NAMED = 5
 SELDOM = 0.01  # share of sound data in which an observation or a mark is named
 LEAST_SPACING_MM = 0.1  # median distance of neighbouring marks below which the rig's unit is doubted
 
@@ -257,10 +256,10 @@ def _doubt_labels(rig: Rig, marks: Marks, points: Points) -> None:
         chance = bdtrc(np.maximum(bad - 1, 0), of, bad.sum() / max(of.sum(), 1))  # of so many, if all were alike
         rows = np.flatnonzero((2 * bad > of) & (chance < SELDOM / len(bad)))
         if len(rows):
-            names = [in_line(marks.names[row]) if kind == "observation" else str(row) for row in rows[:MOST_NAMED]]
+            names = [in_line(marks.names[row]) if kind == "observation" else str(row) for row in rows[: doubts.MOST_NAMED]]
             blamed = np.moveaxis(left_out, 1 + axis, 1)[:, rows].sum(axis=(1, 2, 3))
             most = f", most by {in_line(rig.names[blamed.argmax()])}" if blamed.any() else ""
-            warn(f"{in_line(marks.source)}: {kind} {', '.join(names)}{' …' * (len(rows) > MOST_NAMED)}: labels "
+            warn(f"{in_line(marks.source)}: {kind} {', '.join(names)}{' …' * (len(rows) > doubts.MOST_NAMED)}: labels "
                  f"contradict each other at {bad[rows].sum()} of {of[rows].sum()} places{most}: {remedy}")
 
 

@@ -256,8 +256,10 @@ def signed_distances(corners: np.ndarray, first: np.ndarray, spacing: float, cou
 
     runtime.start()
     points = first + spacing * np.indices(counts).reshape(3, -1).T
+    corners, middles = np.ascontiguousarray(corners), corners.mean(axis=1)
+    radii = np.linalg.norm(corners - middles[:, None], axis=-1).max(axis=1)
     distance, number = np.empty(len(points)), np.arange(len(points)).reshape(counts)
-    _unsigned(points, np.ascontiguousarray(corners), distance)
+    _unsigned(points, corners, middles, radii, distance)
     pairs = [np.stack([np.delete(number, end, axis).ravel() for end in (-1, 0)], axis=1) for axis in range(3)]
     pairs = np.concatenate(pairs)
     pairs = pairs[distance[pairs].sum(axis=1) > spacing]
@@ -265,7 +267,7 @@ def signed_distances(corners: np.ndarray, first: np.ndarray, spacing: float, cou
     side = connected_components(graph, directed=False)[1]
     _, one = np.unique(side, return_index=True)
     winding = np.empty(len(one))
-    _winding(points[one], np.ascontiguousarray(corners), winding)
+    _winding(points[one], corners, winding)
     return np.where(np.abs(winding) > 0.5, -1.0, 1.0)[side].reshape(counts) * distance.reshape(counts)
 
 
@@ -273,16 +275,16 @@ def signed_distances(corners: np.ndarray, first: np.ndarray, spacing: float, cou
 def _unsigned(
     points: ti.types.ndarray(dtype=ti.f64, ndim=2),  # [point, 3]
     corners: ti.types.ndarray(dtype=ti.f64, ndim=3),  # [triangle, 3, 3]
+    middles: ti.types.ndarray(dtype=ti.f64, ndim=2),  # [triangle, 3]
+    radii: ti.types.ndarray(dtype=ti.f64, ndim=1),  # [triangle] of the sphere about its middle
     distance: ti.types.ndarray(dtype=ti.f64, ndim=1),  # [point] out
 ):
     for i in range(points.shape[0]):
         p = read(points, i, 0)
         least = ti.cast(1e300, ti.f64)
         for m in range(corners.shape[0]):
-            a, b, c = read(corners, m, 0, 0), read(corners, m, 1, 0), read(corners, m, 2, 0)
-            middle = scaled(plus(plus(a, b), c), 1.0 / 3.0)
-            radius = ti.sqrt(ti.max(ti.max(_square(a, middle), _square(b, middle)), _square(c, middle)))
-            if ti.sqrt(_square(p, middle)) - radius < least:
+            if ti.sqrt(_square(p, read(middles, m, 0))) - radii[m] < least:
+                a, b, c = read(corners, m, 0, 0), read(corners, m, 1, 0), read(corners, m, 2, 0)
                 least = ti.min(least, ti.sqrt(_square_to_triangle(p, a, b, c)))
         distance[i] = least
 

@@ -180,7 +180,7 @@ def kept_apart(moved: Callable[..., Trajectory], stepping: Stepping, rows: np.nd
     for frame in range(found.positions.shape[1]):
         near |= approach_in_motion(places[:, frame], places[:, frame + 1], own, lengths, radius)
     if found.contact_force is None:
-        found = replace(found, contact_force=0.0 * found.positions,
+        found = replace(found, contact_force=0.0 * found.positions,  # NaN where these are
                         touch=np.zeros(found.positions.shape[:3], dtype=np.int8))
     again = np.flatnonzero(near)
     if len(again):

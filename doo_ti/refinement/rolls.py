@@ -20,12 +20,13 @@ J the derivatives by all other shared unknowns x, K those by the rest curvature,
 clamps integrated out. Given φ and θ the best x and κ solve a linear system; given these, φ_d and θ_d are the best of a grid in
 each observation. Taken in turns from random rolls, both soon settle.
 
-Rods that stay in the same clips all have one roll, which were a coincidence if each had its own, and would cost its share in
-every observation. They have a fit of their own, with one row for each observation and start frames that differ by no roll. Two
-ways to move a clip without rolling it are usual: its side stays level, as on a tripod that pans and tilts; or it is carried by
-the shortest rotations (parallel transport) from the mean of its directions, as by an arm that does not turn its last axis. The
-latter also has a meaning about the vertical. Both are tried (:func:`kept`). What the common roll is, κ says. Each observation's
-own is off it by a normal error, whose size is learned with a prior about KEPT; how far the rod is twisted stays free.
+Rods that stay in the same clips all have one roll. If the roll of each observation were unknown by itself, equal rolls would be
+a coincidence, and would count against the fit in every one. So they have a fit of their own, with one row for each observation
+and start frames that differ by no roll. Two ways to move a clip without rolling it are usual: its side stays level, as on a
+tripod that pans and tilts; or it is carried by the shortest rotations (parallel transport) from the mean of its directions, as
+by an arm that does not turn its last axis. The latter also has a meaning about the vertical. Both are tried (:func:`kept`).
+What the common roll is, κ says. Each observation's own is off it by a normal error, whose size is learned with a prior about
+KEPT; how far the rod is twisted stays free.
 
 A curved rod that rolls freely in what holds it turns to where it has the least energy: its rest curvature then lies as it is
 bent, in all observations alike, and makes it look like a softer straight rod. A fit with rolls that are unknown but held takes
@@ -44,7 +45,7 @@ from doo_ti.refinement.fit import Fit, Fitted, State
 from doo_ti.refinement.held_rod import POSE, TWIST
 from doo_ti.refinement.theta import ANY_TWIST, NAMES, Scales
 from doo_ti.refinement.unknowns import Unknowns
-from doo_ti.rod.frames import across, angle_about, matrix_from_quaternion, rotation_vector, smallest_rotation, unit_vectors
+from doo_ti.rod.frames import angle_about, rotation_vector, smallest_rotation, some_frames, transported, unit_vectors
 
 ROLLS = np.linspace(-np.pi, np.pi, 48, endpoint=False)
 TWISTS = np.radians(np.arange(-210.0, 211.0, 30.0))
@@ -138,6 +139,9 @@ class LinearModel:
         return ROLLS[best % len(ROLLS)], TWISTS[best // len(ROLLS)], value.min(axis=1)
 
 
+Curved = tuple[Fit, State, Scales, LinearModel]  # what :func:`curved` returns, and fits of curved rods begin with
+
+
 def turned(rows: np.ndarray, angle: np.ndarray) -> np.ndarray:
     """(…, 2 K) ``rows`` R, R the rotations by ``angle`` (…, K) of each pair of columns."""
     pairs, c, s = rows.reshape(*rows.shape[:-1], -1, 2), np.cos(angle), np.sin(angle)
@@ -145,21 +149,20 @@ def turned(rows: np.ndarray, angle: np.ndarray) -> np.ndarray:
     return both.reshape(*both.shape[:-2], -1)
 
 
-def rolled(fitted: Fitted, curvature: str) -> tuple[Fit, State]:
-    """The fit with that kind of rest curvature in which every observation has COPIES rows, and where it begins, from a finished
-    fit of straight rods."""
-    straight, state, scales, model = _curved(fitted, curvature)
+def rolled(begun: Curved) -> tuple[Fit, State]:
+    """The fit in which every observation has COPIES rows, and where it begins."""
+    straight, state, scales, model = begun
     random = np.random.default_rng(0)
     best = min((model.start(roll) for roll in random.uniform(-np.pi, np.pi, (BEGUN, len(model.slope)))),
                key=lambda one: one.value)
     all_rolls = at_all_rolls(straight)
     scatter = np.repeat(state.values.scatter, COPIES, axis=0)
-    begun = replace(state.values, scatter=in_turned_frames(scatter, all_rolls.unknowns.rod.rolled),
-                    curvature=best.curvature.reshape(-1, 2) / straight.unknowns.rod.length)
-    return all_rolls, all_rolls.posed(all_rolls.from_marks(begun, scales.given(any_roll=WINDOW)))
+    values = replace(state.values, scatter=in_turned_frames(scatter, all_rolls.unknowns.rod.rolled),
+                     curvature=best.curvature.reshape(-1, 2) / straight.unknowns.rod.length)
+    return all_rolls, all_rolls.posed(all_rolls.from_marks(values, scales.given(any_roll=WINDOW)))
 
 
-def _curved(fitted: Fitted, curvature: str) -> tuple[Fit, State, Scales, LinearModel]:
+def curved(fitted: Fitted, curvature: str) -> Curved:
     """A finished fit of straight rods as one with that kind of rest curvature, of which there is none yet; the sizes that it
     begins with, and its linear model."""
     fit = fitted.fit
@@ -236,10 +239,10 @@ def _linear_model(fit: Fit, state: State, scales: Scales) -> LinearModel:
 # --- rods that keep their roll --------------------------------------------------------------------------------------------
 
 
-def kept(fitted: Fitted, curvature: str) -> Iterator[tuple[Fit, State]]:
-    """The fits with that kind of rest curvature in which all observations have nearly one roll, and where each begins, from a
-    finished fit of straight rods: one for each meaning of one roll that the observations tell apart."""
-    straight, state, scales, model = _curved(fitted, curvature)
+def kept(begun: Curved) -> Iterator[tuple[Fit, State]]:
+    """The fits in which all observations have nearly one roll, and where each begins: one for each meaning of one roll that the
+    observations tell apart."""
+    straight, state, scales, model = begun
     own = np.array(NAMES) == "any_roll"
     scales = replace(scales, typical=np.where(own, KEPT, scales.typical), factor=np.where(own, KEPT_FACTOR, scales.factor),
                      learned=scales.learned | own, hessian=None).given(any_roll=KEPT)
@@ -248,9 +251,9 @@ def kept(fitted: Fitted, curvature: str) -> Iterator[tuple[Fit, State]]:
         apart = np.angle(np.exp(1j * (ROLLS - roll[model.rows, None])))
         best = model.start(roll[model.rows], ((apart / KEPT) ** 2)[:, None])
         fit = _of_rows(straight, np.arange(len(roll)), roll)
-        begun = replace(state.values, scatter=in_turned_frames(state.values.scatter, roll),
-                        curvature=best.curvature.reshape(-1, 2) / straight.unknowns.rod.length)
-        yield fit, fit.posed(fit.from_marks(begun, scales))
+        values = replace(state.values, scatter=in_turned_frames(state.values.scatter, roll),
+                         curvature=best.curvature.reshape(-1, 2) / straight.unknowns.rod.length)
+        yield fit, fit.posed(fit.from_marks(values, scales))
 
 
 def common_rolls(frames: np.ndarray, up: np.ndarray) -> Iterator[np.ndarray]:
@@ -258,7 +261,7 @@ def common_rolls(frames: np.ndarray, up: np.ndarray) -> Iterator[np.ndarray]:
     for a common turn, until they are that of their mean direction carried to each."""
     tangent, side = frames[..., 0], frames[..., 1]
     mean = unit_vectors(tangent.mean(axis=0))
-    carried = matrix_from_quaternion(smallest_rotation(mean, tangent)) @ across(mean)
+    carried = transported(some_frames(mean), tangent)[..., 1]
     level, other = (angle_about(tangent, side, wanted) for wanted in (unit_vectors(np.cross(up, tangent)), carried))
     yield level
     apart = np.exp(1j * (level - other))

@@ -22,7 +22,7 @@ from scipy.ndimage import generate_binary_structure, minimum_filter
 from doo_ti.refinement.evidence import integrated
 from doo_ti.refinement.fit import ODD, POSED, ROUGH, Fit, Fitted, State
 from doo_ti.refinement.residuals import Comparison
-from doo_ti.refinement.rolls import bent, kept, rolled, swivelling
+from doo_ti.refinement.rolls import Curved, bent, curved, kept, rolled, swivelling
 from doo_ti.refinement.theta import Scales, Theta, common_rod
 from doo_ti.refinement.unknowns import Unknowns, Values
 from doo_ti.rod.grid import Grid
@@ -92,12 +92,13 @@ def searched(unknowns: Unknowns, thetas: Sequence[Theta], clip: np.ndarray, scal
         unmeasured = replace(rod, observations=replace(seen, total_twist=None))
         found = _ordered(found, searched(replace(unknowns, rod=unmeasured), thetas, clip, scales, options))
     if straight_first:
-        fit, state = rolled(found[0], unknowns.curvature)
-        curved = [fit.run(state, steps)]
-        same_roll = _kept(found[0], min(found[0], *curved, key=lambda one: one.rank), unknowns.curvature, steps)
-        best = min(found[0], *curved, *same_roll, key=lambda one: one.rank)
+        begun = curved(found[0], unknowns.curvature)
+        fit, state = rolled(begun)
+        any_roll = [fit.run(state, steps)]
+        same_roll = _kept(begun, min(found[0], *any_roll, key=lambda one: one.rank), steps)
+        best = min(found[0], *any_roll, *same_roll, key=lambda one: one.rank)
         free = _swivelling(found[0], best, unknowns.curvature, steps)
-        found = _ordered(*([found[:1]] if options.curvature == "auto" else []), curved, same_roll, free)
+        found = _ordered(*([found[:1]] if options.curvature == "auto" else []), any_roll, same_roll, free)
     return found
 
 
@@ -132,9 +133,9 @@ def _from_twists(found: list[Fitted], scales: Scales, steps: int) -> list[Fitted
     return found
 
 
-def _kept(straight: Fitted, best: Fitted, curvature: str, steps: int) -> list[Fitted]:
-    """Optima of curved rods that keep their roll, from the fit of straight ones; none where these are far behind ``best``."""
-    tried = [fit.run(state, TRIED_FIRST) for fit, state in kept(straight, curvature)]
+def _kept(begun: Curved, best: Fitted, steps: int) -> list[Fitted]:
+    """Optima of curved rods that keep their roll; none where these are far behind ``best``."""
+    tried = [fit.run(state, TRIED_FIRST) for fit, state in kept(begun)]
     hopeless = behind(min(tried, key=lambda one: one.rank), best) > HOPELESS
     return [] if hopeless else [one for one in _continued(tried, steps) if one.converged]
 

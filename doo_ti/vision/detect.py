@@ -29,6 +29,7 @@ from doo_ti.rod.frames import curve_length, normal_to
 from doo_ti.system.arguments import typed
 from doo_ti.system.errors import InputError
 from doo_ti.vision.detection import (
+    WIDEST_GLINT,
     Detection,
     DetectionOptions,
     chains_of,
@@ -106,7 +107,6 @@ WIDTH_RATIO, FAINTEST = 1.5, 0.4
 """Largest ratio of widths, which differ with depth, and least ratio of mean strengths, of a piece and the most distinct one."""
 
 
-GLINT = 0.5  # widths of a thread that glints within it take at most
 MORE, SAME = 1.1, 0.95
 """Least ratios of what is found without glints over what is found with them, from which on that is taken: in any case, and
 where it is in fewer pieces. A line that is bent between glint and rim is as long, but in more pieces."""
@@ -146,8 +146,8 @@ def _line(image: np.ndarray, look: Appearance, options: DetectionOptions) -> Det
     if options.method == "canny":
         return moved(in_whole_pixels(_canny_line(small, in_small, *least), scale), (left, top))
     found, count = _ridge_line(small, in_small, *least)
-    if (look.shiny or count != 1) and GLINT * look.width_px >= 2:  # glints may have parted it
-        plain = dull(image, look.polarity, GLINT * look.width_px)
+    if (look.shiny or count != 1) and WIDEST_GLINT * look.width_px >= 2:  # glints may have parted it
+        plain = dull(image, look.polarity, WIDEST_GLINT * look.width_px)
         whole, parts = _ridge_line(_halved(plain, look.width_px)[0], in_small, *least)
         more = whole.count > (SAME if parts < count else MORE) * found.count
         if look.shiny or more and (not found.count or np.median(

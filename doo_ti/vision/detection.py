@@ -14,6 +14,7 @@ from doo_ti.system.errors import InputError
 
 METHODS = ("ridge", "canny")
 POLARITIES = ("dark", "light")
+WIDEST_GLINT = 0.5  # widths of a thread that something unlike it within, as a glint, takes at most: such is filled
 NEAR_PX = 3.0  # a point this near to another line, or to the image of a rod, is on it
 CLICK_PX = 30.0  # a clicked pixel is this near to the thread
 MOST_WIDTH_PX = 1000.0  # largest width of a thread: samples are taken across it

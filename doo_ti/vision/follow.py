@@ -22,7 +22,7 @@ from scipy.ndimage import binary_closing
 from doo_ti.rod.frames import arc_lengths, normal_to, placed, unit_vectors
 from doo_ti.system.arguments import typed
 from doo_ti.system.errors import InputError
-from doo_ti.vision.detection import Detection, DetectionOptions, image_part, moved
+from doo_ti.vision.detection import WIDEST_GLINT, Detection, DetectionOptions, image_part, moved
 from doo_ti.vision.ridge import TOLERANCE, WORKING_WIDTH, Curvature, as_colour, lab, likeness, likeness_table
 
 REACH_PX = 4.0  # from the pixel to the thread's middle, or half a width, whichever is more
@@ -43,7 +43,6 @@ LEVEL = 3.0  # Lab: scatter without noise
 DEEPEST, TINGE = 0.6, 6.0
 """In a shadow the levels of an image are those of the background times a factor, of 0.6 or more (a third of the light), and
 differ from that by less than this in Lab."""
-GLINT = 0.5  # widths of a thread that something unlike it takes within: such is filled
 REACH = 2.5  # widths to either side that are looked at
 SMOOTHING_PX = 0.7
 
@@ -187,7 +186,7 @@ class _Field:
     def __init__(self, image: np.ndarray, table: np.ndarray, width: float):
         self.image, self.table, self.sigma = image, table, max(0.8, 0.35 * width)
         self.reach = int(3 * AHEAD * width)
-        side = 2 * int(GLINT * width / 2) + 1
+        side = 2 * int(WIDEST_GLINT * width / 2) + 1
         self.fill = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (side, side))
         self.corner, self.end = np.zeros(2), np.full(2, -1.0)
 
@@ -275,7 +274,7 @@ def looked(image: np.ndarray, path: np.ndarray, middle: int, line: Line, before:
     ratio = difference / (scatter + LEVEL)
     near = np.flatnonzero(np.abs(offset) <= max(line.width / 2, 0.5))
     top = int(near[np.argmax(ratio[near])])
-    first, last = _edges(ratio, difference, top, 2 * int(GLINT * line.width) + 1)
+    first, last = _edges(ratio, difference, top, 2 * int(WIDEST_GLINT * line.width) + 1)
     clear = np.flatnonzero(~shaded[first : last + 1])
     if len(clear):
         first, last = first + int(clear[0]), first + int(clear[-1])
