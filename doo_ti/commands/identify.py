@@ -80,7 +80,7 @@ def run(options: Namespace) -> int:
         found = fit(motion, "all recordings")
     if found.failed.all():
         raise RuntimeError(f"no recording could be rolled out, from {len(motion.names)}; give a higher --bend to begin with")
-    rollouts = chosen.rollouts(motion, found.theta, finer=True)
+    rollouts = chosen.rollouts(motion, found.theta)
     summary = _summary(found, motion, held_out, rollouts, options.out)
     results.save_json(options.out, {"doo_ti": "theta", **summary["theta"], **{key: summary[key] for key in (
         "parameters", "error_mm", "mean_error_mm", "median_error_mm", "smoothing", "failed", "inside_mm", "held_out", "stills",
@@ -134,7 +134,7 @@ def _held_out(motion, folds: int, chosen, fit) -> np.ndarray:
         out = np.arange(motion.count) % folds == fold
         theta = fit(motion.take(np.flatnonzero(~out)), f"fold {fold + 1} of {folds}").theta
         rest = motion.take(np.flatnonzero(out))
-        positions = chosen.rollouts(rest, theta, finer=True).predicted([theta])[0][:, 0]
+        positions = chosen.rollouts(rest, theta).predicted([theta])[0][:, 0]
         error[out] = mean_error(positions, rest.positions)[:, 2:].mean(axis=1)
     return error
 
@@ -159,7 +159,7 @@ def _summary(found, motion, held_out, rollouts, out: Path) -> dict:
         "failed": [name for name, failed in zip(motion.names, found.failed, strict=True) if failed], "held_out": held,
         "inside_mm": {name: depth for name, depth in zip(motion.names, rollouts.depth, strict=True) if depth > 0},
         "smoothing": rollouts.layout.smoothing,
-        "iterations": found.iterations, "glitches": motion.glitches(), "out": str(out)}
+        "iterations": found.iterations, "converged": found.converged, "glitches": motion.glitches(), "out": str(out)}
 
 
 def _lines(summary: dict, motion) -> list[str]:
@@ -185,6 +185,7 @@ def _lines(summary: dict, motion) -> list[str]:
             ("at rest", still["count"] and f"{still['count']} still frames, {still['left_out']} left out; {error}"),
             ("held out", held and f"mean {held['mean_error_mm']:.4g} ± {held['standard_error_mm']:.2g} mm, median "
                                   f"{held['median_error_mm']:.4g} mm"),
+            ("NOT converged", not summary["converged"] and "more iterations would change Θ; give fewer --fit or --modes"),
             ("failed", summary["failed"] and f"{results.listed(summary['failed'], MOST_LISTED)}: left out"),
             ("inside", inside and f"the grippers of {results.listed(inside, MOST_LISTED)} hold the rod up to "
                                   f"{max(inside.values()):.3g} mm inside an obstacle: correct its place, or give a smaller "

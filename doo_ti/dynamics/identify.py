@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from doo_ti.contact.surroundings import Surroundings
 from doo_ti.dynamics.parameters import Stepping
 from doo_ti.dynamics.recorded import RecordedMotion
-from doo_ti.dynamics.rollouts import Rollouts, require_smoothing, roll_reference
+from doo_ti.dynamics.rollouts import HALVINGS_AMONG_OBSTACLES, Rollouts, require_smoothing, roll_reference
 from doo_ti.dynamics.theta import LinearStills, MotionTheta, Stills, Unknowns
 from doo_ti.rod.observations import Observations, median_of_seen
 from doo_ti.rod.types import Clamp, Status
@@ -27,9 +27,10 @@ LONG_STEP = 5e-3
 """The same for differences of rollouts: they are off by the tolerance of gaps and average over contacts that begin."""
 BENDS = (3e-4, 3e-3, 3e-2, 0.3)  # bend stiffness over weight and the cube of the length, to begin with
 FRICTIONS = (0.1, 0.3, 0.6)  # coefficients to begin with
+SETTLED = 1e-5  # of the cost, by which the last iteration may lower it
 FARTHEST = 0.5  # change of ln of the rate, beyond which it does not explain what recordings are off by
-CORRECTIONS = 2
-LEFT = 1 / 4  # of what they changed: the standard error that they leave
+CORRECTIONS = HALVINGS_AMONG_OBSTACLES
+LEFT = 1 / 4  # of what corrections changed: the standard error that they leave
 
 
 @typed
@@ -89,17 +90,12 @@ class IdentifyOptions:
     @property
     def rounds(self) -> int:
         """Most iterations of all fits."""
-        return self.iterations * (len(self.horizons) + self.corrections)
+        return self.iterations * (len(self.horizons) + CORRECTIONS)
 
-    @property
-    def corrections(self) -> int:
-        """Fits with the error of mesh and steps taken out."""
-        return 0 if self.surroundings else CORRECTIONS
-
-    def rollouts(self, motion: RecordedMotion, theta: MotionTheta, finer: bool = False) -> Rollouts:
-        """How recordings of the rod of ``theta`` are rolled out; ``finer`` as of :meth:`.Rollouts.of`."""
+    def rollouts(self, motion: RecordedMotion, theta: MotionTheta, halvings: int | None = None) -> Rollouts:
+        """How recordings of the rod of ``theta`` are rolled out; ``halvings`` as of :meth:`.Rollouts.of`."""
         stepping = Stepping(motion.rate, self.substeps, self.scheme)
-        return Rollouts.of(motion, theta, stepping, self.end, self.surroundings, self.smoothing, finer)
+        return Rollouts.of(motion, theta, stepping, self.end, self.surroundings, self.smoothing, halvings)
 
 
 @dataclass(frozen=True)
@@ -114,6 +110,7 @@ class Identified:
     failed      (R,) bool: some step of the recording did not converge, and it was left out
     cost        Σ ρ, mm²
     iterations  in all
+    converged   whether the last fit ended before its iterations did
     still_error (S,) mm, the mean distance of the marks of each still, of all sets one after the other; NaN for those left out
     rate        frames per second at which the recordings would fit best, the other unknowns changing with it, to first order
     rate_gain   share of the squared residuals that this would save
@@ -129,6 +126,7 @@ class Identified:
     failed: np.ndarray
     cost: float
     iterations: int
+    converged: bool
     still_error: np.ndarray
     rate: float
     rate_gain: float
@@ -155,20 +153,22 @@ def identify(motion: RecordedMotion, begin: MotionTheta, options: IdentifyOption
     made, frames = 0, motion.positions.shape[1]
     for horizon in sorted({min(h + 2, frames) for h in options.horizons}):
         fit = _Fit(motion.until(horizon), unknowns, options, stills)
-        p, cost, iterations = fit.minimise(p, lambda k, error, horizon=horizon: report and report(horizon, k, error))
+        p, cost, iterations, _ = fit.minimise(p, lambda k, error, horizon=horizon: report and report(horizon, k, error))
         made += iterations
-    coarse = p
-    for _ in range(options.corrections):
-        fit.correct(p)
-        p, cost, iterations = fit.minimise(p, lambda k, error: report and report(frames, k, error))
+    left = np.zeros_like(p)
+    for correction in range(1, CORRECTIONS + 1):
+        before, fit = p, fit.corrected(p, correction)
+        p, cost, iterations, converged = fit.minimise(p, lambda k, error: report and report(frames, k, error))
         made += iterations
+        # Among obstacles a mesh is right to first order: further halvings change as much again as the last one.
+        left = p - before if options.surroundings else left + LEFT * (p - before)
     residual, slopes, status = fit.linearised(p)
     failed = (status != Status.CONVERGED).any(axis=1)
     theta = unknowns.theta(p)
     error = np.where(failed, np.nan, np.abs(residual).mean(axis=(1, 2, 3)) * (residual.shape[2] / motion.positions.shape[2]))
     still = fit.linearised_stills(p, fit.variance(residual, ~failed))
-    covariance = fit.covariance(residual, slopes, ~failed, still) + LEFT**2 * np.outer(p - coarse, p - coarse)
-    return Identified(theta, unknowns, p, covariance, error, failed, cost, made,
+    covariance = fit.covariance(residual, slopes, ~failed, still) + np.outer(left, left)
+    return Identified(theta, unknowns, p, covariance, error, failed, cost, made, converged,
                       np.concatenate([np.zeros(0), *(part.error for part in still)]),
                       *fit.best_rate(p, residual, slopes, ~failed))
 
@@ -186,7 +186,7 @@ def require_clear_grippers(motion: RecordedMotion, theta: MotionTheta, options: 
     """Raise InputError where, in every recording, the grippers hold the rod of ``theta`` inside an obstacle."""
     if not options.surroundings:
         return
-    depth = options.rollouts(motion, theta).depth
+    depth = options.rollouts(motion, theta, 0).depth
     if (depth > 0).all():
         raise InputError("identify", "surroundings", f"the grippers of all recordings hold the rod up to {depth.max():.3g} mm "
                          "inside an obstacle", "correct the obstacle's place, or give a smaller radius")
@@ -207,7 +207,7 @@ def identify_from_guesses(motion: RecordedMotion, options: IdentifyOptions, bend
 def first_errors(motion: RecordedMotion, options: IdentifyOptions, thetas: Sequence[MotionTheta]) -> np.ndarray:
     """(G,) mm by which each Θ is off on the shortest horizon, the median over recordings; infinite where all fail."""
     part = motion.until(min(options.horizons) + 2)
-    positions, _ = options.rollouts(part, thetas[0]).predicted(thetas)
+    positions, _ = options.rollouts(part, thetas[0], 0).predicted(thetas)
     error = np.abs(positions - part.positions[:, None]).mean(axis=(2, 3, 4))
     return np.nan_to_num(median_of_seen(error), nan=np.inf)
 
@@ -215,20 +215,23 @@ def first_errors(motion: RecordedMotion, options: IdentifyOptions, thetas: Seque
 class _Fit:
     """Levenberg–Marquardt over the recordings of one horizon, and all stills."""
 
-    def __init__(self, motion: RecordedMotion, unknowns: Unknowns, options: IdentifyOptions, stills: Sequence[Stills] = ()):
+    def __init__(self, motion: RecordedMotion, unknowns: Unknowns, options: IdentifyOptions, stills: Sequence[Stills] = (),
+                 halvings: int = 0):
         self.motion, self.unknowns, self.options, self.stills = motion, unknowns, options, stills
         self.seen = motion.positions[:, 2:, motion.predicted]
-        self.rollouts = options.rollouts(motion, unknowns.begin)
+        self.rollouts = options.rollouts(motion, unknowns.begin, halvings)
 
-    def correct(self, p) -> None:
-        """From now on compare with what is seen plus the simulation's own error under p: of the markers' mesh and of the steps,
-        from what halving both changes (Richardson, second order). None where a rod fails on either."""
+    def corrected(self, p, correction: int) -> "_Fit":
+        """The same with less of the simulation's own error, of the markers' mesh and of the steps. Among obstacles both are
+        halved, so many times. Else the error under p, from what halving changes (Richardson), joins what is seen."""
+        if self.options.surroundings:
+            return _Fit(self.motion, self.unknowns, self.options, self.stills, correction)
         theta = self.unknowns.theta(p)
-        (coarse, _), (fine, _) = (rollouts.predicted([theta]) for rollouts in (
-            self.rollouts, self.options.rollouts(self.motion, theta, finer=True)))
+        (coarse, _), (fine, _) = (self.options.rollouts(self.motion, theta, k).predicted([theta]) for k in (0, 1))
         apart = (coarse - fine)[:, 0, 2:, self.motion.predicted]
         whole = np.isfinite(apart).all(axis=(1, 2, 3), keepdims=True)
         self.seen = self.motion.positions[:, 2:, self.motion.predicted] + np.where(whole, 4.0 / 3.0 * apart, 0.0)
+        return self
 
     def residuals(self, vectors) -> tuple[np.ndarray, np.ndarray]:
         """((R, G, T − 2, W, 3) mm of the W vertices that are predicted, (R, G, T) status) under each p."""
@@ -315,14 +318,14 @@ class _Fit:
             return self.motion.rate, 0.0
         return self.motion.rate * float(np.exp(change)), float(gradient[-1] ** 2 / own / weighted.sum())
 
-    def minimise(self, p, report) -> tuple[np.ndarray, float, int]:
-        """(p, cost, iterations) of the minimum."""
+    def minimise(self, p, report) -> tuple[np.ndarray, float, int, bool]:
+        """(p, cost, iterations, whether it was reached within those allowed) of the minimum."""
         damping, lower, upper = 1e-3, self.unknowns.lower, self.unknowns.upper
         for k in range(self.options.iterations):
             residual, slopes, status = self.linearised(p)
             used = (status == Status.CONVERGED).all(axis=1)
             if not used.any():
-                return p, np.inf, k + 1
+                return p, np.inf, k + 1, False
             still = self.linearised_stills(p, self.variance(residual, used))
             cost = self.cost(residual)[used].sum() + self.still_cost(p, still)
             report(k, float(np.abs(residual[used]).mean()))
@@ -340,8 +343,8 @@ class _Fit:
                     break
                 damping *= 4.0
             if not improved < cost:
-                return p, cost, k + 1
+                return p, cost, k + 1, True
             p, damping = trial, max(damping / 4.0, 1e-7)
-            if cost - improved < 1e-3 * cost:
-                return p, improved, k + 1
-        return p, improved, self.options.iterations
+            if cost - improved < SETTLED * cost:
+                return p, improved, k + 1, True
+        return p, improved, self.options.iterations, False

@@ -26,6 +26,7 @@ from doo_ti.system.errors import InputError, require_whole
 LARGEST_REACH = 0.999  # share of the rod's length between grippers, at most: beyond, the far gripper is moved back
 FIT_STIFFNESS = 0.01
 """Of a rod that is fitted to markers, over that of the springs to them and the cube of an edge: it hardly resists."""
+HALVINGS, HALVINGS_AMONG_OBSTACLES = 1, 2  # of the edges between markers, for predictions
 SMOOTHED = 0.09  # s, over which recordings among obstacles are smoothed
 NUMBERS_AT_ONCE = 16_000_000  # numbers of positions that a simulation returns
 
@@ -118,22 +119,27 @@ class Rollouts:
 
     @classmethod
     def of(cls, motion: RecordedMotion, theta: MotionTheta, stepping: Stepping, end: Clamp,
-           surroundings: Surroundings = Surroundings(), smoothing: int | None = None, finer: bool = False) -> "Rollouts":
+           surroundings: Surroundings = Surroundings(), smoothing: int | None = None,
+           halvings: int | None = None) -> "Rollouts":
         """The rollouts of a motion.
 
         theta      of the rod; only its lengths and its roll reference are read
         end        what the far gripper holds, if there is one
         smoothing  as of :func:`.lay_out`; None: 1, but among obstacles the frames of :data:`SMOOTHED`: noise of a gripper
                    shakes the rod, which then slips where it would have stuck
-        finer      with edges half as long as those between markers and, of BDF2, steps half as long; not among obstacles, where
-                   contacts begin at other instants then
+        halvings   how often edges, as long as between markers, are halved, and with them time steps of BDF2; None: as often as
+                   for predictions
         """
         if smoothing is None:
             smoothing = 2 * int(0.5 * SMOOTHED * motion.rate) + 1 if surroundings else 1
         rods, lengths, marks = motion, theta.rest_length, np.arange(motion.edges + 1)
-        if finer and not surroundings:
-            rods, lengths, marks = motion.refined(lengths)
-            stepping = replace(stepping, substeps=stepping.substeps * (2 if stepping.scheme == "bdf2" else 1))
+        if halvings is None:
+            halvings = HALVINGS_AMONG_OBSTACLES if surroundings else HALVINGS
+        for _ in range(halvings):
+            rods, lengths, among = rods.refined(lengths)
+            marks = among[marks]
+        if stepping.scheme == "bdf2":
+            stepping = replace(stepping, substeps=stepping.substeps * 2**halvings)
         return cls(motion, lay_out(rods, lengths, theta.reference, end, smoothing), stepping, surroundings, marks)
 
     @property

@@ -28,7 +28,7 @@ def rolled_out(rng, count: int, free_end: bool = False) -> RecordedMotion:
         fine, _, own = fine.refined(fine.edge_lengths())
         marks = own[marks]
     true = replace(TRUE, rest_length=np.repeat([50.0, 12.5, 50.0], [1, 4 * halved, 7 - halved]))
-    positions, status = replace(OPTIONS, substeps=4).rollouts(fine, true).predicted([true])
+    positions, status = replace(OPTIONS, substeps=4).rollouts(fine, true, 0).predicted([true])
     assert (status == 0).all() and (not free_end or np.abs(positions[:, 0] - fine.positions)[:, -1, -1].max() > 20.0)
     return RecordedMotion.of(positions[:, 0][:, :, marks], RATE, free_end=free_end)
 
