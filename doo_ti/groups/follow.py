@@ -21,9 +21,12 @@ from doo_ti.groups.ties import JOINT_ITEMS, TWIST
 from doo_ti.relaxation import tables as of
 from doo_ti.relaxation.newton import Newton
 from doo_ti.relaxation.time_sweep import DRAG, DRAG_BY_SPEED, INERTIA, LOAD
-from doo_ti.rod.types import Clamps, Configuration, finite_rods
+from doo_ti.rod.types import Clamps, Configuration, Status, put_rods, sticky
 from doo_ti.system.arguments import typed
 from doo_ti.system.errors import InputError
+
+FORCES = ("tie_force", "tie_moment", "start_force", "end_force")
+"""Those of a solution that the next moment begins with."""
 
 
 @typed
@@ -43,8 +46,8 @@ def follow_group(group: Group, clamps: Sequence[Sequence[Clamps]], solver: Newto
 
     Friction acts from the first moment on, at which there is none. The rods of a group are drawn from one moment to the next
     and pass through nothing on the way, but frames of clamps turn at once: give moments between which they turn by less than
-    the rods bend. A group that has no place at a moment, being INFEASIBLE or not finite there, goes on from the last one at
-    which it had, at rest.
+    the rods bend. A group that has not converged at a moment, where its rods may be inside each other, goes on from the last
+    one at which it had; one with inertia keeps that status from then on.
 
     Raises InputError as :func:`.relax_group` does, and for ``dynamics`` that do not match.
     """
@@ -56,9 +59,13 @@ def follow_group(group: Group, clamps: Sequence[Sequence[Clamps]], solver: Newto
     before = None
     for held in clamps:
         group = replace(group, clamps=held)
-        before = relaxed(group, solver, up, obstacles, radius, contact, before, motion)
-        yield before
-        group = replace(group, rods=[finite_rods(now, last) for now, last in zip(before.rods, group.rods, strict=True)])
+        found = relaxed(group, solver, up, obstacles, radius, contact, before, motion)
+        yield found
+        lost = np.flatnonzero(~found.converged)
+        group = replace(group, rods=[put_rods(now, lost, last.take(lost))
+                                     for now, last in zip(found.rods, group.rods, strict=True)])
+        before = replace(found, group=replace(found.group, rods=group.rods), **{
+            name: np.where(found.converged[:, None, None], getattr(found, name), 0.0) for name in FORCES})
 
 
 class MovingGroups:
@@ -87,7 +94,7 @@ class MovingGroups:
         self.numbers = np.concatenate(numbers, axis=1)
         for tie, (vertex, _) in zip(group.ties, group.tied, strict=True):
             self.numbers[:, vertex, 0] += tie.weight / GRAVITY * self.rate**2
-        self.moves = False
+        self.moves, self.status = False, np.full(group.count, Status.CONVERGED, dtype=np.int8)
         place, bent = self._seen(group.rods)
         self._rest_at(place, bent)
 
@@ -144,9 +151,9 @@ class MovingGroups:
         return replace(table, burden=burden, rest=self._rest())
 
     def remember(self, rods: Sequence[Configuration]) -> None:
-        """Make ``rods`` the last instant. Groups that have no place stay where they were, at rest."""
+        """Make ``rods`` the last instant. Groups that have failed stay where they were, at rest."""
         place, bent = self._seen(rods)
-        lost = np.isnan(place).any(axis=(1, 2))[:, None, None]
+        lost = (self.status != Status.CONVERGED)[:, None, None]
         velocity = np.where(lost, 0.0, self.rate * (place - self._extrapolated(self.places)))
         last, place = self.places[0], np.where(lost, self.places[0], place)
         bent = [np.where(lost, own[0], now) for own, now in zip(self.strains, bent, strict=True)]
@@ -158,7 +165,10 @@ class MovingGroups:
         self.moves = True
 
     def reached(self, solution: GroupSolution, table: GroupTables) -> GroupSolution:
-        """The solution of a time step, which becomes the last instant, with the energies of the rods alone."""
+        """The solution of a time step, which becomes the last instant, with the energies of the rods alone. Groups that have
+        failed keep the status of the step at which they did."""
+        self.status = sticky(self.status, solution.status)
+        solution = replace(solution, status=self.status, stable=solution.stable & (self.status == Status.CONVERGED))
         self.remember(solution.rods)
         elastic = sum(own.elastic(bent[0]).sum(axis=(1, 2)) for own, bent in zip(self.losses, self.strains, strict=True))
         square = (self.velocities[0] ** 2).sum(axis=-1)
