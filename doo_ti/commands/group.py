@@ -15,7 +15,6 @@ from doo_ti.contact.surroundings import Surroundings, smallest_of_pairs
 from doo_ti.contact.touch import Touch
 from doo_ti.io.toml_file import scene_file
 from doo_ti.learning.landscape import status_counts
-from doo_ti.report.contact import GroupMotion, save_group
 from doo_ti.rod.types import Status
 from doo_ti.system.arguments import counted
 from doo_ti.system.errors import InputError, InterruptedRunError
@@ -100,6 +99,8 @@ def _draw(scene: "GroupScene", moments: "list[GroupSolution]", up: np.ndarray, p
         print(f"doo-ti: note: {' and '.join(map(in_line, wanted))} not written: the rods have no place at any moment",
               file=sys.stderr)
         return
+    from doo_ti.report.contact import GroupMotion, save_group
+
     seen = GroupMotion.of(moments, scene.name, scene.names, scene.surroundings, scene.rate, up, scene.newton)
     if picture is not None:
         save_group(picture, seen)

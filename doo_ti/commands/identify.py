@@ -9,8 +9,6 @@ import numpy as np
 from doo_ti.commands import doubts, given, loading, results
 from doo_ti.dynamics.recorded import RecordedMotion
 from doo_ti.io.observation_files import load_observations
-from doo_ti.report.contact import Touched
-from doo_ti.report.motions import save_rollout
 from doo_ti.system.errors import InputError, require
 from doo_ti.system.terminal import in_line, progress
 
@@ -94,6 +92,9 @@ def run(options: Namespace) -> int:
     doubts.say(options.motions[0], "the best guess is half as far off if the last marker is on the gripper; give the markers "
                "from the gripper on" if motion.free_end and _better_reversed(motion, chosen, up) else None)
     if options.picture is not None:
+        from doo_ti.report.contact import Touched
+        from doo_ti.report.motions import save_rollout
+
         positions, _, _, simulation = rollouts.simulated(found.theta)
         touched = Touched(surroundings, positions, simulation.contact_force) if surroundings else None
         save_rollout(options.picture, "identified", list(motion.names), positions, motion.positions, motion.rate,

@@ -10,7 +10,6 @@ from doo_ti.commands import doubts, given, image_options, loading, results
 from doo_ti.commands.image_options import GUESSED_BEND, MOST_HYPOTHESES, RECORDED, SeenRods
 from doo_ti.learning.landscape import status_counts
 from doo_ti.perception.growth import GrowthSteps
-from doo_ti.report.figures import MOST_SETS, SeenRod, reprojections_picture
 from doo_ti.rod.types import Status
 from doo_ti.system.arguments import counted
 from doo_ti.system.errors import InputError
@@ -233,6 +232,8 @@ def _found(found) -> np.ndarray:
 def _shown(options: Namespace, task: SeenRods, truth: np.ndarray | None, detected: list[list], found, growth: GrowthSteps,
            out: Path) -> list[Path]:
     """Draw and record the result beside ``out``; returns the files."""
+    from doo_ti.report.figures import MOST_SETS, SeenRod, reprojections_picture
+
     rig, written = task.sets.rig, []
     there = np.flatnonzero(np.isfinite(found.vertices).all(axis=(1, 2)))
 

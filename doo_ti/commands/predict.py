@@ -13,8 +13,6 @@ from doo_ti.dynamics.parameters import LEAST_WAY, Dynamics, Stepping
 from doo_ti.io.scene import PRECISIONS
 from doo_ti.io.toml_file import scene_file
 from doo_ti.learning.landscape import status_counts
-from doo_ti.report.contact import Touched
-from doo_ti.report.motions import MovingRods, motions_picture
 from doo_ti.rod.frames import matrix_from_quaternion
 from doo_ti.rod.material import STANDARD_GRAVITY
 from doo_ti.rod.types import Clamp, Configuration, Status
@@ -234,6 +232,9 @@ def _summary(rods: HeldRods, prediction, result: dict, out: Path) -> dict:
 def _draw(rods: HeldRods, prediction, arrays: dict[str, np.ndarray], picture: Path | None, recording: Path | None,
           lines: list[str]) -> None:
     """Write the picture and the recording that are asked for, of the file's ``arrays``; ``lines`` are the result as text."""
+    from doo_ti.report.contact import Touched
+    from doo_ti.report.motions import MovingRods, motions_picture
+
     seen = rods.observations
     marks = None if seen is None else np.where(seen.valid[..., None], seen.vertices, np.nan)[prediction.motion]
     touched = None if not rods.surroundings else Touched(rods.surroundings, *(

@@ -15,7 +15,6 @@ from doo_ti.io.arrays import read_npz
 from doo_ti.learning.chunks import DENSITY, read_summary
 from doo_ti.learning.landscape import Landscape, plane_of, read_landscape
 from doo_ti.refinement.theta import common_rod
-from doo_ti.report.landscapes import landscape_picture
 from doo_ti.rod.observations import UNKNOWN_SPACING, Observations
 from doo_ti.rod.start import check_experiment, observation_clamps
 from doo_ti.rod.types import Clamps
@@ -150,6 +149,8 @@ def run(options: Namespace) -> int:
 def _kept(landscape, found, summary: dict) -> list[Path]:
     """Write the result into the folder of its run, as --json prints it, and where the grid has two of the learned parameters
     the landscape with their joint 95 % region; returns the files."""
+    from doo_ti.report.landscapes import landscape_picture
+
     path, grid, estimate = landscape.run / REFINED, landscape.grid, found.estimate
     results.save_json(path, [summary])
     free = [axis.name for axis in grid.axes if len(axis) > 1]

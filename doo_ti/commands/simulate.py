@@ -15,8 +15,6 @@ from doo_ti.io.pose_table import holds_poses
 from doo_ti.io.scene import PRECISIONS
 from doo_ti.io.toml_file import scene_file
 from doo_ti.learning.landscape import status_counts
-from doo_ti.report.contact import Touched
-from doo_ti.report.motions import save_animation, save_rollout
 from doo_ti.rod.types import Clamp, Status
 from doo_ti.system.arguments import counted
 from doo_ti.system.errors import InputError, require
@@ -291,8 +289,13 @@ def _lost_share(energies: dict[str, np.ndarray], positions: np.ndarray) -> np.nd
 
 
 def _draw(found: _Simulated, picture: Path | None, recording: Path | None, animation: Path | None) -> None:
+    if not (picture or recording or animation):
+        return
+    from doo_ti.report.contact import Touched
+    from doo_ti.report.motions import save_animation, save_rollout
+
     touched = None
-    if found.contact and (picture or recording or animation):
+    if found.contact:
         touched = Touched(found.surroundings, found.positions, found.contact["contact_force"], found.newtons)
     energies = {name: found.energies[name] for name in SPLIT} if found.energies else None
     rods = found.name, found.names, found.positions, found.recorded, found.rate, found.up

@@ -15,7 +15,6 @@ from doo_ti.commands import doubts, given, image_options, loading, results
 from doo_ti.commands.moving_rods import settled, with_rest_curvature
 from doo_ti.contact.surroundings import Surroundings
 from doo_ti.io.motion_file import ClampPath, path_table
-from doo_ti.report.motions import servo_picture
 from doo_ti.rod.material import relative_stiffness, stiffness
 from doo_ti.rod.observations import Observations
 from doo_ti.rod.shapes import end_clamps
@@ -212,6 +211,8 @@ class Stiffness:
 
 
 def run_servo(options: Namespace) -> int:
+    from doo_ti.report.motions import servo_picture
+
     folder, rig, reached = options.out, image_options.rig(options), options.reached
     rod = steered_rod(options, [folder / name for name in (PATH, TABLE, PICTURE, RECORDING)])
     density, weight, unit = options.linear_density, rod.material.weight[0], Stiffness(("bend", "twist"), "mm3", 1.0)

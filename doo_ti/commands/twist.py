@@ -10,7 +10,6 @@ from doo_ti.commands import doubts, given, loading, results
 from doo_ti.commands.moving_rods import with_rest_curvature
 from doo_ti.io.observation_tables import write_columns
 from doo_ti.io.scene import PRECISIONS
-from doo_ti.report.figures import MOST_CURVES, angle_curves_picture
 from doo_ti.rod.grid import Grid
 from doo_ti.rod.observations import Observations
 from doo_ti.rod.start import check_experiment, observation_clamps
@@ -85,6 +84,8 @@ def run_twist(options: Namespace) -> int:
         shared = {name: result[name][result["group"]] for name in ("phi_deg", "least_mm", "verdict", "low_deg", "high_deg")}
         write_whole(out, lambda file: write_columns(file, {"observation": observations.labels, **own, **shared}))
     if options.picture is not None:
+        from doo_ti.report.figures import MOST_CURVES, angle_curves_picture
+
         names = [f"{_rows(observations, estimate, k)}: {np.degrees(estimate.phi[k]):.0f}°, {_word(estimate.verdict[k])}"
                  for k in range(min(MOST_CURVES, len(estimate.phi)))]
         angle_curves_picture(

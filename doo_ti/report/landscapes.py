@@ -3,6 +3,9 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
+from matplotlib.colors import LogNorm
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch, Polygon
 
 from doo_ti.report import canvas
 from doo_ti.report import plane as drawing
@@ -65,8 +68,6 @@ def _cell_boxes(axes, plane: LandscapePlane, cells: tuple[np.ndarray, np.ndarray
 
 def draw_landscape(plane: LandscapePlane, title: str, region: np.ndarray | None = None, newton_per_bend: float | None = None):
     """The figure of one landscape, its legend below; other arguments as :func:`landscape_picture` has them."""
-    from matplotlib.patches import Polygon
-
     figure = canvas.new_figure()
     axes = figure.add_subplot()
     _draw(figure, axes, plane, None, 1.0)
@@ -89,8 +90,6 @@ def draw_landscape(plane: LandscapePlane, title: str, region: np.ndarray | None 
 
 def draw_panels(rows: list[list[LandscapePanel]], title: str, marks: str, relative: bool, dpi: int = canvas.PICTURE_DPI):
     """The figure of several landscapes, and its (axes, panel) in reading order."""
-    from matplotlib.colors import LogNorm
-
     panels, columns = [panel for row in rows for panel in row], max(len(row) for row in rows)
     size, width, height = (0.9, 5.4, 4.4) if columns <= 3 else (0.75, 3.2, 3.0)
     figure = canvas.new_figure((max(width * columns, 8.0), height * len(rows) + 1.0), dpi)
@@ -157,8 +156,6 @@ def _multiples(plane: LandscapePlane) -> np.ndarray:
 
 
 def _color_bar(figure, mesh, axes, label: str = canvas.MEAN_DISTANCE, size: float = 1.0, extend: str = "neither") -> None:
-    from matplotlib.colors import LogNorm
-
     bar = figure.colorbar(mesh, ax=axes, pad=0.02, aspect=28, extend=extend)
     bar.set_label(label, fontsize=12 * size)
     bar.ax.tick_params(labelsize=11 * size)
@@ -184,9 +181,6 @@ def _put_legend(figure, planes: list[LandscapePlane], columns: int, marks: str |
 def _legend(planes: list[LandscapePlane], marks: str | None, with_region: bool) -> list:
     """Entries for the minimum, the valley, marks, cells that do not compete or have no value, and the region. ``marks`` says
     what the panels' marks are, empty where there are none; None: of one landscape, with its numbers."""
-    from matplotlib.lines import Line2D
-    from matplotlib.patches import Patch
-
     line, keys = all(len(plane.axes) == 1 for plane in planes), []
     if any(plane.minimum is not None for plane in planes):
         at = cells = ""
@@ -214,8 +208,6 @@ def _legend(planes: list[LandscapePlane], marks: str | None, with_region: bool) 
 
 def _regime_keys(planes: list[LandscapePlane]) -> list:
     """Entries for the regimes of a ribbon and the lines between them, where there are any."""
-    from matplotlib.lines import Line2D
-
     twists = sorted({plane.twist for plane in planes if plane.twist is not None})
     if not twists:
         return []
@@ -226,6 +218,4 @@ def _regime_keys(planes: list[LandscapePlane]) -> list:
 
 
 def _point(label: str, **style):
-    from matplotlib.lines import Line2D
-
     return Line2D([], [], linestyle="", label=label, **style)
