@@ -225,21 +225,22 @@ def _doubt_rig(rig: Rig, marks: Marks, points: Points, chosen: TriangulationOpti
     pixels = pixels[:, :: -(-pixels.shape[1] // MOST_TRIED)]
     tried = [(label_scatter(rig, scale * pixels) / scale, f"images had {scale:.3g} times as many pixels a side",
               "label images as they were calibrated, or calibrate with images as they were labelled") for scale in SCALES]
-    each = []
-    for one, other in combinations(range(len(pixels)), 2):
+    pairs = {pair: " and ".join(in_line(rig.names[camera]) for camera in pair) for pair in combinations(range(len(pixels)), 2)}
+    for (one, other), names in pairs.items():
         order = np.arange(len(pixels))
         order[[one, other]] = other, one
-        names = f"{in_line(rig.names[one])} and {in_line(rig.names[other])}"
         tried.append((label_scatter(rig, pixels[order]), f"{names} are exchanged", "correct the cameras' names"))
-        each.append(f"{names} {label_scatter(rig.take([one, other]), pixels[[one, other]]):.2g}")
     best, assumed, remedy = min(tried)
     if FAR_OFF * best < now:
         warn(f"{in_line(rig.source)}: labels scatter by {now:.2g} px, but {best:.2g} px if {assumed}: {remedy}")
-    elif now > WITHIN * chosen.sigma_px:
+        return True
+    if now > WITHIN * chosen.sigma_px:
+        each = [f"{names} {label_scatter(rig.take(pair), pixels[list(pair)]):.2g}" for pair, names in pairs.items()]
         warn(f"{in_line(rig.source)}: labels scatter by {now:.2g} px, {chosen.sigma_px:g} px were stated (pairs of cameras: "
              f"{', '.join(each)}): calibrate with images as those labelled, neither cropped nor scaled; check labels; or give "
              "--sigma-px")
-    return bool(FAR_OFF * best < now or now > WITHIN * chosen.sigma_px)
+        return True
+    return False
 
 
 def _doubt_labels(rig: Rig, marks: Marks, points: Points) -> None:

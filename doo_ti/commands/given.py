@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
+import doo_ti
 from doo_ti.commands.help_text import FIRST, examples
 from doo_ti.contact.obstacle_file import load_obstacles
 from doo_ti.contact.surroundings import Surroundings
@@ -160,9 +161,7 @@ def theta(options: Namespace):
     """The MotionTheta of ``--theta``, or None."""
     if options.theta is None:
         return None
-    from doo_ti.dynamics.theta import load_theta
-
-    return load_theta(options.theta)
+    return doo_ti.load_theta(options.theta)
 
 
 def newtons(options: Namespace, weight) -> np.ndarray | None:

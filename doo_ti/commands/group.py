@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+import doo_ti
 from doo_ti.commands import doubts, given, results
 from doo_ti.contact.surroundings import Surroundings, smallest_of_pairs
 from doo_ti.contact.touch import Touch
@@ -39,7 +40,6 @@ def declare(add) -> None:
 
 
 def run(options: Namespace) -> int:
-    from doo_ti.groups.follow import follow_group
     from doo_ti.groups.scene import load_group_scene
 
     up = given.world_up(options)
@@ -49,7 +49,7 @@ def run(options: Namespace) -> int:
     with progress() as bar:
         task = bar.add_task(f"{scene.name} (kernels are compiled once on a machine)", total=len(scene.time), unit="moments")
         try:
-            for solution in follow_group(scene.group, scene.clamps, up=up, **scene.arguments):
+            for solution in doo_ti.follow_group(scene.group, scene.clamps, up=up, **scene.arguments):
                 moments.append(solution)
                 bar.advance(task)
         except InputError as error:

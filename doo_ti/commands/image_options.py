@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
+import doo_ti
 from doo_ti.commands import doubts, given, loading
 from doo_ti.commands.loading import MOST_EDGES, read_rest_length
 from doo_ti.contact.surroundings import Surroundings
@@ -108,12 +109,11 @@ def by_camera(option: str, texts: Iterable[str] | None, names: tuple[str, ...], 
 
 def sight(options: Namespace, sets, method: str = "ridge"):
     """The Sight that :func:`add_thread` describes, of the images in ``sets``."""
-    from doo_ti.vision.detection import DetectionOptions
     from doo_ti.vision.sight import Sight, mask_of
 
     regions = by_camera("--region", options.region, sets.rig.names, "X,Y,W,H", given.numbers(None, given.FROM_ZERO))
     for region in regions.values():
-        DetectionOptions(region=region)
+        doo_ti.DetectionOptions(region=region)
     masks = None if options.masks is None else [Path(mask) for mask in options.masks]
     if masks is not None and len(masks) == 1 and masks[0].is_dir():
         masks = masks[0]
@@ -131,7 +131,7 @@ def sight(options: Namespace, sets, method: str = "ridge"):
     if clicked and sets.clicks is None:
         raise InputError(given.SOURCE, "--colour", "clicked, and no pixel is", "give --seed-pixel, or a colour")
     colour, stated = None if clicked else options.colour, [options.polarity, options.width, options.colour, masks]
-    return Sight(DetectionOptions(method, options.polarity, options.width, colour=colour), regions, masks,
+    return Sight(doo_ti.DetectionOptions(method, options.polarity, options.width, colour=colour), regions, masks,
                  sets.clicks if clicked or stated == [None] * 4 else None, clicked)
 
 
@@ -173,12 +173,12 @@ def warn_of_rig(options: Namespace, sets, length: float, verdicts: np.ndarray, c
     """Print a warning where found rods of ``length`` mm are in another unit, and, where none is clear nor near to the line in
     every camera, by its ``camera_error`` (A, C) px, if the lines ``detected`` in the first clicked set fit together much better
     with the rig's file read otherwise, by options that were not given, or as images of the cameras in another order."""
-    from doo_ti.perception.perceive import PerceptionVerdict
     from doo_ti.perception.seeds import fit_better
 
-    if likely_unit(length) or (verdicts != PerceptionVerdict.NOT_FOUND).any():  # of what is not found a unit explains some
+    verdict = doo_ti.PerceptionVerdict
+    if likely_unit(length) or (verdicts != verdict.NOT_FOUND).any():  # of what is not found a unit explains some
         warn_of_length(options, length)
-    fitting = (verdicts == PerceptionVerdict.CLEAR) | (camera_error <= FITTING_PX).all(axis=1)
+    fitting = (verdicts == verdict.CLEAR) | (camera_error <= FITTING_PX).all(axis=1)
     if sets.clicks is None or fitting.any():
         return
     others = {f"with {option}": other for other, _, option in sets.rig.read_otherwise() if other.reading.unit is None}

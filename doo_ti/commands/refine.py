@@ -5,10 +5,10 @@ import os
 from argparse import Namespace
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+import doo_ti
 from doo_ti.commands import doubts, given, loading, results
 from doo_ti.commands.refine_text import summary_lines, summary_of
 from doo_ti.io.arrays import read_npz
@@ -21,9 +21,6 @@ from doo_ti.rod.types import Clamps
 from doo_ti.system.errors import InputError, require
 from doo_ti.system.files import read_content
 from doo_ti.system.terminal import busy, in_line
-
-if TYPE_CHECKING:
-    from doo_ti.refinement.refine import RefinementOptions
 
 REFINED = "refined.json"  # in the folder of a run, with its picture beside it
 STARTS = 3
@@ -95,7 +92,7 @@ class Task:
     thetas: tuple
     density: float | None
     landscape: Landscape | None
-    chosen: "RefinementOptions"
+    chosen: "doo_ti.RefinementOptions"
 
 
 def run(options: Namespace) -> int:
@@ -105,7 +102,6 @@ def run(options: Namespace) -> int:
 
     from doo_ti.learning.up_axes import other_up_of
     from doo_ti.refinement.folds import folds_of, refine_held_out
-    from doo_ti.refinement.refine import refine
 
     for task in tasks:
         if task.landscape is None:
@@ -115,7 +111,7 @@ def run(options: Namespace) -> int:
     for task, split in zip(tasks, splits, strict=True):
         around, loads = task.chosen.surroundings, task.chosen.loads
         with busy(f"refining {task.observations.name} (kernels are compiled once on a machine)"):
-            found = refine(task.observations, task.clamps, task.thetas, task.chosen)
+            found = doo_ti.refine(task.observations, task.clamps, task.thetas, task.chosen)
         mesh = np.full(found.mesh_edges, task.observations.rest_length.sum() / found.mesh_edges)
         doubts.say(task.observations.source, doubts.mesh_doubt(mesh, around),
                    doubts.repeats_doubt(task.observations, found.adequacy.noise))
@@ -247,10 +243,8 @@ def _of_run(options: Namespace, run: Path):
             own.frame_weight if options.frame_weight is None else options.frame_weight, own.surroundings, landscape)
 
 
-def _refinement_options(options: Namespace, **of_source) -> "RefinementOptions":
+def _refinement_options(options: Namespace, **of_source) -> "doo_ti.RefinementOptions":
     """What the options say, and the fields that are ``of_source``."""
-    from doo_ti.refinement.refine import RefinementOptions
-
     names = [name.strip().replace("-", "_") for name in options.parameters.split(",") if name.strip()]
     curvature = options.rest_curvature
     for name, own in OLD_CURVATURES.items():
@@ -258,6 +252,6 @@ def _refinement_options(options: Namespace, **of_source) -> "RefinementOptions":
             names.remove(name)
             curvature = curvature or own
     exact = "exact" in (options.clamps, options.frames)
-    return RefinementOptions(
+    return doo_ti.RefinementOptions(
         tuple(names), options.clip, curvature or "auto", options.stiffness, "exact" if exact else "loose",
         None if options.frames == "exact" else options.frames, edges=options.edges, models=not options.no_models, **of_source)

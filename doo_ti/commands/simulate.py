@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+import doo_ti
 from doo_ti.commands import doubts, given, loading, moving_rods, results
 from doo_ti.commands.moving_rods import LOSSES, OF_MOTIONS, SimulatedRods
 from doo_ti.contact.surroundings import Surroundings
@@ -113,7 +114,6 @@ def run(options: Namespace) -> int:
 
 
 def _recorded(options: Namespace, out: Path, changes: dict, up: np.ndarray) -> _Simulated:
-    from doo_ti.dynamics.identify import IdentifyOptions
     from doo_ti.dynamics.rollouts import Rollouts
 
     if options.theta is None:
@@ -132,7 +132,7 @@ def _recorded(options: Namespace, out: Path, changes: dict, up: np.ndarray) -> _
     stepping = Stepping(motion.rate, **changes)
     with progress() as bar:
         task = bar.add_task("simulating", total=motion.count * (motion.positions.shape[1] - 2), unit="rods x frames")
-        rollouts = Rollouts.of(motion, theta, stepping, IdentifyOptions.end, surroundings, options.smoothing, finer=True)
+        rollouts = Rollouts.of(motion, theta, stepping, doo_ti.IdentifyOptions.end, surroundings, options.smoothing, finer=True)
         positions, status, energies, found = rollouts.simulated(
             theta, progress=lambda done: bar.update(task, completed=motion.count * done))
     contact = found.contact_force, found.friction_work, found.touch
@@ -152,7 +152,6 @@ def _contact(surroundings: Surroundings, positions: np.ndarray, force, work, tou
 
 def _scene(options: Namespace, changes: dict, up: np.ndarray) -> _Simulated:
     from doo_ti.dynamics.scene import load_motion_scene
-    from doo_ti.relaxation.relax import relax
 
     given.refuse(options, ("theta", "fill_gaps", "rate", "smoothing", "free_end", *OF_MOTIONS, *given.MATERIAL, *LOSSES,
                            *CLAMPS, *loading.OF_OBSERVATIONS), "given, but a scene has its own rods", "leave it out")
@@ -172,8 +171,8 @@ def _scene(options: Namespace, changes: dict, up: np.ndarray) -> _Simulated:
         if Clamp.FREE == grippers.start and Clamp.FREE == grippers.end:
             raise InputError(options.source, "rod.at_rest", "both ends are free", "let it begin straight, or clamp an end")
         with busy(f"relaxing {count} rods (kernels are compiled once on a machine)"):
-            solution = relax(start, scene.material, grippers.at(0), up=up, configuration_index=pairs[0],
-                             material_index=pairs[1], **surroundings.at(0).arguments)
+            solution = doo_ti.relax(start, scene.material, grippers.at(0), up=up, configuration_index=pairs[0],
+                                    material_index=pairs[1], **surroundings.at(0).arguments)
         first_force = 0.0 if solution.contact_force is None else solution.contact_force
         start, pairs = solution.configuration, (np.arange(count), np.arange(count))
     grippers = grippers.take(pairs[0] * 0) if start.count > 1 else grippers
@@ -185,16 +184,14 @@ def _scene(options: Namespace, changes: dict, up: np.ndarray) -> _Simulated:
 
 def _carried(options: Namespace, moved: SimulatedRods) -> _Simulated:
     """The rods at all instants."""
-    from doo_ti.dynamics.simulate import simulate
-
     count, instants = len(moved.names), moved.grippers.instants
     stepping = replace(moved.stepping, detailed=True)
     with progress() as bar:
         task = bar.add_task(moved.name, total=count * (instants - 1), unit="rods x frames")
         try:
-            found = simulate(moved.start, moved.material, moved.grippers, moved.dynamics, stepping, up=moved.up,
-                             pairs=moved.pairs, progress=lambda done: bar.update(task, completed=count * done),
-                             **moved.surroundings.arguments)
+            found = doo_ti.simulate(moved.start, moved.material, moved.grippers, moved.dynamics, stepping, up=moved.up,
+                                    pairs=moved.pairs, progress=lambda done: bar.update(task, completed=count * done),
+                                    **moved.surroundings.arguments)
         except InputError as error:
             own = error.field == "obstacles" and options.obstacles is None
             raise InputError(options.source if own else error.source, error.field, error.problem, error.remedy) from None

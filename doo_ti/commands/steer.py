@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+import doo_ti
 from doo_ti.commands import doubts, given, image_options, loading, results
 from doo_ti.commands.moving_rods import settled, with_rest_curvature
 from doo_ti.contact.surroundings import Surroundings
@@ -64,14 +65,11 @@ def run_steer(options: Namespace) -> int:
     out = options.out
     rod = steered_rod(options, [out])
 
-    from doo_ti.manipulation.plan import PlanOptions, plan_manipulation
-    from doo_ti.manipulation.targets import Targets
-
-    chosen = PlanOptions(free=rod.free, reached_mm=options.reached, seconds=options.seconds, seed=options.seed)
+    chosen = doo_ti.PlanOptions(free=rod.free, reached_mm=options.reached, seconds=options.seconds, seed=options.seed)
     with busy("planning (kernels are compiled once on a machine)"):
         start, held = rod.at_rest()
-        path = plan_manipulation(start.configuration, rod.material, held, Targets(rod.places), chosen, up=rod.observations.up,
-                                 **rod.surroundings.arguments)
+        path = doo_ti.plan_manipulation(start.configuration, rod.material, held, doo_ti.Targets(rod.places), chosen,
+                                        up=rod.observations.up, **rod.surroundings.arguments)
     write_text(out, path_table(path))
     if not path.reached:
         warn(f"{in_line(options.target)}: the target is not reached; the path ends {path.distance:.3g} mm from it, at the "
@@ -121,10 +119,8 @@ class SteeredRod:
     def at_rest(self) -> tuple[Solution, Clamps]:
         """The rod at the start, and its grippers, which hold frames from there on: where the file has none, those of the rod
         that rolls freely. Raises InputError where it has no stable equilibrium."""
-        from doo_ti.relaxation.relax import relax
-
         begin = settled(self.observations, self.clamps, self.material, self.surroundings)
-        start = relax(begin, self.material, self.clamps, up=self.observations.up, **self.surroundings.arguments)
+        start = doo_ti.relax(begin, self.material, self.clamps, up=self.observations.up, **self.surroundings.arguments)
         require((start.converged & start.stable).all(), self.source, "vertices_mm", "observation 0 has no stable equilibrium",
                 "give a rod that is held within its length" + ", outside the obstacles" * bool(self.surroundings))
         return start, end_clamps(start.configuration, Clamp.FRAME, Clamp.FRAME)
@@ -275,16 +271,13 @@ def _cameras(options: Namespace, rig: Rig, rod: SteeredRod) -> "VirtualCameras":
 def _steps(rod: SteeredRod, true: Material, cameras: "VirtualCameras", rig: Rig, most: int, reached: float
            ) -> tuple[Clamps, list[Step], np.ndarray]:
     """The grippers' first poses, what has been done, and (V, 3) mm the true rod at the end."""
-    from doo_ti.manipulation.servo import Servo
-    from doo_ti.manipulation.simulation import Simulation
-    from doo_ti.manipulation.targets import ServoOptions, Targets
     from doo_ti.perception.virtual_lab import TRACKED_NOISE
 
-    up, around, targets, steps = rod.observations.up, rod.surroundings.arguments, Targets(rod.places), []
+    up, around, targets, steps = rod.observations.up, rod.surroundings.arguments, doo_ti.Targets(rod.places), []
     with progress() as bar:
         shown = bar.add_task("steps", total=most, unit="steps")
         model, begin = rod.at_rest()
-        simulation = Simulation(model.configuration, true, begin, up=up, **around)
+        simulation = doo_ti.Simulation(model.configuration, true, begin, up=up, **around)
         state = simulation.state
         require((state.converged & state.stable).all(), given.SOURCE, "--true-EI",
                 "the true rod has no stable equilibrium at the start", "give another, or a rod that is held within its length")
@@ -293,9 +286,9 @@ def _steps(rod: SteeredRod, true: Material, cameras: "VirtualCameras", rig: Rig,
         if (seeing := sum(bool(camera.sees(vertices).all()) for camera in rig.cameras)) < 2:
             raise InputError(rig.source, "cameras", f"{seeing} of {len(rig.cameras)} see all of the rod at its start",
                              "let two or more look at it from different sides")
-        chosen = ServoOptions(free=rod.free, reached_mm=reached,
-                              noise_mm=TRACKED_NOISE * float(np.sum(rod.observations.rest_length)))
-        servo = Servo(model.configuration, rod.material, begin, targets, chosen, up=up, **around)
+        chosen = doo_ti.ServoOptions(free=rod.free, reached_mm=reached,
+                                     noise_mm=TRACKED_NOISE * float(np.sum(rod.observations.rest_length)))
+        servo = doo_ti.Servo(model.configuration, rod.material, begin, targets, chosen, up=up, **around)
         while len(steps) < most and not (len(steps) >= SETTLED and all(
                 step.status == STATUSES.index("reached") for step in steps[-SETTLED:])):
             truth, expected = state.configuration.vertices[0], servo.vertices[0]
