@@ -189,9 +189,9 @@ def _check_reading(rig: Rig, marks: Marks, points: Points, chosen: Triangulation
     rods = points.position.reshape(len(marks.names), -1, 3)
     spacing = np.linalg.norm(np.diff(rods, axis=1), axis=-1)
     spacing = float(np.median(spacing[np.isfinite(spacing)])) if np.isfinite(spacing).any() else np.nan
-    if rig.reading.unit is None and spacing < LEAST_SPACING_MM <= spacing * UNITS_IN_MM["m"]:
-        raise InputError(rig.source, "cameras", f"marks are {spacing:.2g} mm apart, unless its lengths are in m",
-                         "give --rig-unit m, or --rig-unit mm where that is so")
+    in_m = rig.reading.unit is None and spacing < LEAST_SPACING_MM <= spacing * UNITS_IN_MM["m"]
+    require(not in_m, rig.source, "cameras", f"marks are {spacing:.2g} mm apart, unless its lengths are in m",
+            "give --rig-unit m, or --rig-unit mm where that is so")
     labelled = (np.isfinite(marks.pixels).all(axis=-1).sum(axis=0) > 1).sum()
     for other, assumed, option in rig.read_otherwise():
         if other.reading.poses is not None and 2 * points.valid.sum() < labelled:

@@ -146,8 +146,8 @@ def grid(options: Namespace, base: Grid | None = None) -> Grid:
         if text is None:
             continue
         refuse(options, others, f"given beside --{physical}", "give one of the two")
-        if options.linear_density is None:
-            raise InputError(SOURCE, "--linear-density", f"missing beside --{physical}", "give the rod's in g/m")
+        require(options.linear_density is not None, SOURCE, "--linear-density", f"missing beside --{physical}",
+                "give the rod's in g/m")
         axis = parse_axis(f"--{physical}", text, SOURCE)  # in N m²: relative to a weight of 1
         axes.append(Axis(name, bend_or_twist(axis.values, weight_per_length(options.linear_density)), axis.log))
     if base is not None:

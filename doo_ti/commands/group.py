@@ -22,7 +22,6 @@ from doo_ti.system.errors import InputError, InterruptedRunError
 from doo_ti.system.terminal import in_line, progress
 
 if TYPE_CHECKING:
-    from doo_ti.groups.relax_group import GroupSolution
     from doo_ti.groups.scene import GroupScene
 
 OF_RODS = ("group", "contact_force", "touch")  # fields of a solution that are lists, one for each rod
@@ -69,7 +68,7 @@ def run(options: Namespace) -> int:
     return 0 if moments[-1].converged[0] else 1
 
 
-def _arrays(scene: "GroupScene", moments: "list[GroupSolution]") -> dict[str, np.ndarray]:
+def _arrays(scene: "GroupScene", moments: "list[doo_ti.GroupSolution]") -> dict[str, np.ndarray]:
     """What is written, with the vertices and edges of all rods one after the other."""
     def along(values) -> np.ndarray:
         """(T, all vertices or edges, ...) from those of each rod at each moment."""
@@ -90,8 +89,8 @@ def _arrays(scene: "GroupScene", moments: "list[GroupSolution]") -> dict[str, np
     return results.in_newton(arrays, None if scene.newton is None else np.array([scene.newton]), 0)
 
 
-def _draw(scene: "GroupScene", moments: "list[GroupSolution]", up: np.ndarray, picture: Path | None, recording: Path | None
-          ) -> None:
+def _draw(scene: "GroupScene", moments: "list[doo_ti.GroupSolution]", up: np.ndarray, picture: Path | None,
+          recording: Path | None) -> None:
     wanted = [path for path in (picture, recording) if path is not None]
     if not wanted:
         return
@@ -110,7 +109,7 @@ def _draw(scene: "GroupScene", moments: "list[GroupSolution]", up: np.ndarray, p
         record_group(recording, seen)
 
 
-def _summary(scene: "GroupScene", moments: "list[GroupSolution]", out: Path) -> dict:
+def _summary(scene: "GroupScene", moments: "list[doo_ti.GroupSolution]", out: Path) -> dict:
     status = np.array([moment.status[0] for moment in moments])
     last = moments[-1]
     gap, closure = (np.array([getattr(moment, name)[0] for moment in moments]) for name in ("gap", "closure"))

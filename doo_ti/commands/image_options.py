@@ -123,9 +123,8 @@ def sight(options: Namespace, sets, method: str = "ridge"):
                 raise InputError(masks, twice.stem, "the mask of several cameras' images of this name",
                                  "put masks into folders that are named as those of the images are")
     elif masks is not None:
-        if sets.count > 1 or len(masks) != len(sets.rig.cameras):
-            raise InputError(given.SOURCE, "--masks", f"{len(masks)} for {sets.count} sets of {len(sets.rig.cameras)} images",
-                             "give one for each camera of a single set, or a folder")
+        require(sets.count == 1 and len(masks) == len(sets.rig.cameras), given.SOURCE, "--masks", f"{len(masks)} for "
+                f"{sets.count} sets of {len(sets.rig.cameras)} images", "give one for each camera of a single set, or a folder")
         masks = dict(zip(sets.rig.names, masks, strict=True))
     clicked = options.colour == CLICKED
     if clicked and sets.clicks is None:
@@ -283,9 +282,8 @@ def _sets(options: Namespace, rig):
     if bool(options.seed_point) == bool(options.seed_pixel):
         both = "given beside --seed-pixel" if options.seed_pixel else "missing"
         raise InputError(given.SOURCE, "--seed-point", both, "give --seed-point, or --seed-pixel: where the rod begins")
-    if len(options.images) != len(rig.cameras):
-        raise InputError(given.SOURCE, "IMAGE", f"{len(options.images)} images, but the rig has {len(rig.cameras)} cameras",
-                         f"give one of each, in this order: {', '.join(rig.names)}")
+    require(len(options.images) == len(rig.cameras), given.SOURCE, "IMAGE", f"{len(options.images)} images, but the rig has "
+            f"{len(rig.cameras)} cameras", f"give one of each, in this order: {', '.join(rig.names)}")
     stems = tuple(Path(image).stem for image in options.images)
     if stems != rig.names and sorted(stems) == sorted(rig.names):
         raise InputError(given.SOURCE, "IMAGE", f"{', '.join(map(in_line, stems))} in another order than the rig's cameras",

@@ -25,8 +25,6 @@ from doo_ti.system.terminal import busy, in_line
 REFINED = "refined.json"  # in the folder of a run, with its picture beside it
 STARTS = 3
 CURVATURES = ("auto", "field", "uniform", "none")
-OLD_CURVATURES = {"rest_curvature": "uniform", "rest_curvature_per_joint": "field"}
-"""Old names in --parameters for a rest curvature."""
 
 
 def declare(add) -> None:
@@ -77,8 +75,8 @@ def _frames(option: str, text: str) -> str | tuple[float, float]:
     if text == "exact":
         return text
     error = given.NUMBERS(option, text)
-    if len(error) != 2 or min(error) <= 0:
-        raise InputError(given.SOURCE, option, f"{text!r}", "give exact, or two positive numbers: mm,degrees")
+    require(len(error) == 2 and min(error) > 0, given.SOURCE, option, f"{text!r}",
+            "give exact, or two positive numbers: mm,degrees")
     return error[0], float(np.radians(error[1]))
 
 
@@ -120,18 +118,19 @@ def run(options: Namespace) -> int:
             with busy(f"cross-validating {task.observations.name} in {folds} folds"):
                 begin = replace(found.theta, rest_curvature=None)
                 held_out = refine_held_out(task.observations, task.clamps, begin, split, task.chosen)
-        summary = summary_of(task.observations, around, found, held_out, task.density, loads is not None)
         weight = found.theta.weight if loads is None else 0.0  # what bodies that hang on rods do is not compared
         other = other_up_of(task.observations, task.clamps, weight, found.theta.up, around)
-        summaries.append(summary | {"other_up": other, "of_run": task.landscape is not None})
-        written = [] if task.landscape is None else _kept(task.landscape, found, summaries[-1])
+        summary = summary_of(task.observations, around, found, held_out, task.density, loads is not None) | {
+            "other_up": other, "of_run": task.landscape is not None}
+        summaries.append(summary)
+        written = [] if task.landscape is None else _kept(task.landscape, found, summary)
         if not options.json:
-            first, *rest = summary_lines(summaries[-1])
+            first, *rest = summary_lines(summary)
             kept = [f"  {'written to':<18} {in_line(path)}" for path in written]
             if not written and out is None:
                 kept = [f"  {'written to':<18} no file: give --out F.json to keep this"]
             print("\n".join([first, loading.rod_line(task.observations), *rest, *kept]))
-        doubts.say(task.observations.source, loading.up_text(summaries[-1]["other_up"]))
+        doubts.say(task.observations.source, loading.up_text(other))
     if out is not None:
         results.save_json(out, summaries)
     if options.json:
@@ -246,12 +245,7 @@ def _of_run(options: Namespace, run: Path):
 def _refinement_options(options: Namespace, **of_source) -> "doo_ti.RefinementOptions":
     """What the options say, and the fields that are ``of_source``."""
     names = [name.strip().replace("-", "_") for name in options.parameters.split(",") if name.strip()]
-    curvature = options.rest_curvature
-    for name, own in OLD_CURVATURES.items():
-        if name in names:
-            names.remove(name)
-            curvature = curvature or own
     exact = "exact" in (options.clamps, options.frames)
     return doo_ti.RefinementOptions(
-        tuple(names), options.clip, curvature or "auto", options.stiffness, "exact" if exact else "loose",
+        tuple(names), options.clip, options.rest_curvature or "auto", options.stiffness, "exact" if exact else "loose",
         None if options.frames == "exact" else options.frames, edges=options.edges, models=not options.no_models, **of_source)

@@ -116,8 +116,8 @@ def run(options: Namespace) -> int:
 def _recorded(options: Namespace, out: Path, changes: dict, up: np.ndarray) -> _Simulated:
     from doo_ti.dynamics.rollouts import Rollouts
 
-    if options.theta is None:
-        raise InputError(given.SOURCE, "--theta", "missing", "give the rod: a file that doo-ti identify has written")
+    require(options.theta is not None, given.SOURCE, "--theta", "missing",
+            "give the rod: a file that doo-ti identify has written")
     given.refuse(options, (*given.MATERIAL, *LOSSES, *OF_MOTIONS, *CLAMPS, "rest_length"), "given, but the rod is recorded",
                  "leave it out, or give observations with --motion")
     theta, surroundings = given.theta(options), given.surroundings(options)

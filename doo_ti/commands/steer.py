@@ -27,7 +27,6 @@ from doo_ti.system.terminal import busy, can_record, in_line, progress, warn
 from doo_ti.vision.cameras import Rig
 
 if TYPE_CHECKING:
-    from doo_ti.manipulation.belief import LearnedMaterial
     from doo_ti.perception.virtual_lab import SeenMoment, VirtualCameras
 
 SECONDS = given.number("a positive number of s up to 3600", lambda seconds: 0 < seconds <= 3600)
@@ -189,7 +188,7 @@ class Step:
     true_mm: float
     estimated_mm: float
     status: int
-    learned: "LearnedMaterial"
+    learned: "doo_ti.LearnedMaterial"
 
 
 @dataclass(frozen=True)
@@ -200,7 +199,7 @@ class Stiffness:
     unit: str
     factor: float
 
-    def of(self, learned: "LearnedMaterial") -> list[tuple[float, float, float]]:
+    def of(self, learned: "doo_ti.LearnedMaterial") -> list[tuple[float, float, float]]:
         """(value, low, high) of each."""
         return [(self.factor * value[0], *(self.factor * interval[0])) for value, interval in (
             (learned.bend, learned.bend_interval), (learned.twist, learned.twist_interval))]

@@ -109,8 +109,8 @@ def _search(options: Namespace, source: str, run: Path) -> _Search:
         scene = Scene(in_line(Path(source).stem), Path(source), given.grid(options))
     grid, seed = given.grid(options, scene.grid), options.seed
     frame_weight = scene.frame_weight if options.frame_weight is None else options.frame_weight
-    if options.scheduler and options.workers:
-        raise InputError(given.SOURCE, "--dask", "given beside --workers", "give one of the two")
+    both = options.scheduler and options.workers
+    require(not both, given.SOURCE, "--dask", "given beside --workers", "give one of the two")
     if isinstance(scene.observations, Synthesis):
         seed = scene.observations.seed if seed is None else seed
         scene = replace(scene, observations=replace(scene.observations, seed=seed))

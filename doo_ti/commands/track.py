@@ -106,9 +106,8 @@ def _far_motions(path: Path, frames: int) -> list:
     from doo_ti.motion.path import motion_between
 
     motion = load_path(path)
-    if motion.moments != frames or motion.count > 1:
-        raise InputError(path, "time_s", f"{motion.count} motions of {motion.moments} moments for {frames} frames",
-                         "give one motion, a moment for each frame")
+    require(motion.moments == frames and motion.count == 1, path, "time_s", f"{motion.count} motions of {motion.moments} "
+            f"moments for {frames} frames", "give one motion, a moment for each frame")
     origin, frame = np.zeros((1, 3)), np.eye(3)[None]
     rests = Clamps(Clamp.TANGENT, Clamp.TANGENT, origin, origin, frame, frame)
     return [motion_between(motion.at(moment, rests), motion.at(moment + 1, rests)) for moment in range(frames - 1)]

@@ -165,7 +165,6 @@ class _File(Table):
     objective: Literal[OBJECTIVES] = "static"
     pairs: Annotated[str, Meta(min_length=1)] | None = None
     roll_hypotheses: Rolls = 0
-    spins: Rolls = 0  # what roll_hypotheses used to be called
     precision: Literal[PRECISIONS] = "mixed"
 
 
@@ -204,5 +203,5 @@ def load_scene(path: str | os.PathLike[str]) -> Scene:
     return Scene(
         name=name, observations=observations, grid=Grid(tuple(axes), bend_12, str(path)), frame_weight=file.frame_weight_mm,
         clamp_start=start, clamp_end=end, objective=file.objective,
-        pairs=path.parent / file.pairs if file.pairs else None, roll_hypotheses=file.roll_hypotheses or file.spins,
+        pairs=path.parent / file.pairs if file.pairs else None, roll_hypotheses=file.roll_hypotheses,
         precision=file.precision, source=str(path), sha256=hashlib.sha256(content).hexdigest())

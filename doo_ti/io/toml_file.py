@@ -23,7 +23,6 @@ from doo_ti.rod.material import bend_or_twist, force_in_newton, weight_per_lengt
 from doo_ti.rod.types import LARGEST, Configuration
 from doo_ti.system.errors import InputError, require
 from doo_ti.system.files import MOST_TEXT_BYTES, read_content
-from doo_ti.system.terminal import warn
 
 Finite = Annotated[float, msgspec.Meta(ge=-LARGEST, le=LARGEST)]
 Positive = Annotated[float, msgspec.Meta(gt=0, le=LARGEST)]
@@ -107,8 +106,8 @@ def _remedy(problem: str, kind) -> str:
 
 
 PACKAGE = Path(__file__).parents[1]
-INSTALLED, SOURCE = PACKAGE / "scenes", PACKAGE.parent / "scenes"
-"""Where they lie in an installed package, and in its source."""
+SCENES = PACKAGE / "scenes" if (PACKAGE / "scenes").is_dir() else PACKAGE.parent / "scenes"
+"""Where those of an installed package lie, or of its source."""
 
 
 def scene_file(name: str) -> str:
@@ -116,9 +115,8 @@ def scene_file(name: str) -> str:
     asked = Path(name)
     if not name or asked.exists() or asked.is_absolute() or ".." in asked.parts:
         return name
-    folder = INSTALLED if INSTALLED.is_dir() else SOURCE
     within = Path(*asked.parts[1:]) if asked.parts[0] == "scenes" and len(asked.parts) > 1 else asked
-    for place in (folder, folder / "motion", folder / "groups"):
+    for place in (SCENES, SCENES / "motion", SCENES / "groups"):
         for file in (place / within, place / within.with_suffix(".toml")):
             if file.is_file():
                 return str(file)
@@ -160,9 +158,8 @@ def stated_material(source, key: str, keys: MaterialKeys, unit_density: float | 
     for name, other in (("bend", "EI"), ("weight", "EI"), ("twist", "EI"), ("GJ", "bend")):
         require(getattr(keys, name) is None or getattr(keys, other) is None, source, f"{key}.{name}", f"given beside {other}",
                 "give bend, twist and weight, or EI and GJ with linear_density")
-    if not physical and keys.bend is None:
-        raise InputError(source, f"{key}.{'EI' if keys.GJ is not None else 'bend'}", "missing",
-                         "give bend, or EI with linear_density")
+    require(physical or keys.bend is not None, source, f"{key}.{'EI' if keys.GJ is not None else 'bend'}", "missing",
+            "give bend, or EI with linear_density")
     if physical and keys.linear_density is None:
         raise InputError(source, f"{key}.linear_density", "missing beside EI", "give the mass per length in g/m")
     bend, twist, names = (keys.EI, keys.GJ, ("EI", "GJ")) if physical else (keys.bend, keys.twist, ("bend", "twist"))
@@ -237,7 +234,6 @@ class Moment(Table):
     end_direction: Vector | None = None
     start_turns: Finite | None = None
     end_turns: Finite | None = None
-    end_rotation_deg: Finite | None = None
 
 
 @dataclass(frozen=True)
@@ -261,7 +257,6 @@ def end_paths(source, key: str, rows: list, start: Configuration, time: np.ndarr
     While its direction changes, also from the rod's own to that of the first moment, an end turns about it only by its
     ``turns``. Raises InputError as :func:`.interpolated` does, and where a direction reverses from one moment to the next.
     """
-    rows = [_in_turns(source, f"{key}[{number}]", row) for number, row in enumerate(rows)]
     vertices, frames = start.vertices[0], start.frames[0]
     first = {"start_position_mm": vertices[0], "start_direction": frames[0, :, 0], "end_position_mm": vertices[-1],
              "end_direction": frames[-1, :, 0], "start_turns": 0.0, "end_turns": 0.0}
@@ -276,15 +271,6 @@ def end_paths(source, key: str, rows: list, start: Configuration, time: np.ndarr
         held[end] = rotations.turned_about_tangent(along, 2 * np.pi * paths[f"{end}_turns"])
     return EndPaths(paths["start_position_mm"], paths["end_position_mm"], held["start"], held["end"],
                     2 * np.pi * paths["end_turns"])
-
-
-def _in_turns(source, key: str, row):
-    """The moment ``row`` with ``end_turns`` for ``end_rotation_deg``, if it has that."""
-    if not isinstance(row, dict) or "end_rotation_deg" not in row:
-        return row
-    turns = checked(source, key, row, Moment).end_rotation_deg / 360.0
-    warn(f"{source}: {key}.end_rotation_deg is called end_turns now: {turns:g}")
-    return {name: value for name, value in row.items() if name != "end_rotation_deg"} | {"end_turns": turns}
 
 
 def _transported(directions: np.ndarray, m1: np.ndarray) -> np.ndarray:

@@ -60,7 +60,6 @@ def test_a_dynamic_scene(tmp_path):
     assert (scene.objective, scene.pairs, scene.roll_hypotheses) == ("dynamic", tmp_path / "data" / "pairs.csv", 12)
     scene = load_scene(write(tmp_path, top='objective = "dynamic"\n'))
     assert (scene.pairs, scene.roll_hypotheses) == (None, 0)
-    assert load_scene(write(tmp_path, top="spins = 7\n")).roll_hypotheses == 7  # as scenes used to call it
 
 
 def test_an_anisotropic_scene(tmp_path):
@@ -80,8 +79,9 @@ RECIPE = "[synthesis]\nbend = {}\ntwist = {}\n"
     ("data", GOOD["data"] + '[observations]\nfile = "x.npz"\n', "observations"), ("grid", "", "grid"),
     ("grid", '[grid]\nbend = "1e5:1e6:0"\n', "bend"), ("grid", "[grid]\ntwist = 3\n", "bend"),
     ("grid", "[grid]\nbend = [1, 2]\n", "grid.bend"), ("top", 'clamp_start = "glued"\n', "clamp_start"),
-    ("top", 'objective = "both"\n', "objective"), ("top", 'pairs = "pairs.csv"\n', "pairs"), ("top", "spins = -1\n", "spins"),
-    ("top", "precision = 64\n", "precision"), ("top", "frame_weight_mm = -1\n", "frame_weight_mm"),
+    ("top", 'objective = "both"\n', "objective"), ("top", 'pairs = "pairs.csv"\n', "pairs"),
+    ("top", "roll_hypotheses = -1\n", "roll_hypotheses"), ("top", "precision = 64\n", "precision"),
+    ("top", "frame_weight_mm = -1\n", "frame_weight_mm"),
     ("data", "[synthesis]\nbend = 1e5\n", "synthesis.twist"), ("data", RECIPE.format(1, -1), "synthesis.twist"),
     *(("data", RECIPE.format(bend, 1), "synthesis.bend") for bend in (
         "[[1, 2], [2, 1]]", "[[1, 0.5], [0, 1]]", "[[1], [2, 3]]", "nan")),
@@ -187,7 +187,7 @@ materials.cord = { bend = 1e6, twist = 5e5 }
 end_position_mm = [50, 0, 0]
 [[moments]]
 time_s = 1
-end_rotation_deg = 30
+end_turns = 0.25
 """
 
 
@@ -213,13 +213,13 @@ def test_omitted_quantities_stay_as_they_were(tmp_path):
     assert scene.name == "scene" and scene.between == 1 and scene.start.edges == 20
     np.testing.assert_allclose(scene.path.end_position[:, 0], [[50, 0, 0], [50, 0, 0]])
     np.testing.assert_allclose(scene.clamps.end_position, [[60, 0, 0]])
-    np.testing.assert_allclose(np.degrees(scene.path.end_rotation[:, 0]), [0, 30])
+    np.testing.assert_allclose(np.degrees(scene.path.end_rotation[:, 0]), [0, 90])
 
 
 def test_one_scene_is_for_predict_and_simulate(tmp_path):
     """At the instants of a rate, smooth between moments; without one the moments themselves, which simulate does not take."""
     file = tmp_path / "scene.toml"
-    file.write_text("rate_hz = 4\nduration_s = 1\n" + MOTION.replace("end_rotation_deg = 30", "end_turns = 0.25"))
+    file.write_text("rate_hz = 4\nduration_s = 1\n" + MOTION)
     scene = load_motion_scene(file)
     np.testing.assert_allclose(np.degrees(scene.path.end_rotation[:, 0]), 90 * np.array([0, 0.25, 0.5, 0.75, 1]), atol=1e-9)
     np.testing.assert_array_equal(scene.path.end_frame[:, 0], scene.grippers.end_frame[0])
@@ -241,9 +241,9 @@ def test_a_clamp_that_turns_along_the_material_has_a_frame(tmp_path):
     ("rod = ", "rods = ", "rod"), ("edges = 20", "edges = 2", "rod.edges"), ("= 60.0", "= -1", "rod.length_mm"),
     ("materials.cord", "materials", "materials"), ("bend = 1e6", "bend = [1, 2]", "bend"),
     ("bend = 1e6", "bend = -1e6", "positive definite"), ("time_s = 1", "", "time_s"), ("time_s = 1", "time_s = 0", "rise"),
-    ("[50, 0, 0]", "[50, 0]", "end_position_mm"), ("end_rotation_deg = 30", "end_direction = [0, 0, 0]", "end_direction"),
-    ("end_rotation_deg = 30", "colour = 3", "moments\\[1\\].colour"),
-    ("end_rotation_deg = 30", 'end_turns = "two"', "end_turns"),
+    ("[50, 0, 0]", "[50, 0]", "end_position_mm"), ("end_turns = 0.25", "end_direction = [0, 0, 0]", "end_direction"),
+    ("end_turns = 0.25", "colour = 3", "moments\\[1\\].colour"),
+    ("end_turns = 0.25", 'end_turns = "two"', "end_turns"),
     ("edges = 20", "edges = 45, radius_mm = 0.8, knot_loop_mm = 10.0", "rod.length_mm: 60 mm"),
     ("length_mm", "length = [", "TOML")])
 def test_wrong_scenes_of_motion_are_named(tmp_path, old, new, word):
