@@ -246,7 +246,7 @@ def run_servo(options: Namespace) -> int:
     if not summary["reached"]:
         warn(f"{in_line(options.target)}: the target is not reached; the rod is {summary['distance_mm']:.3g} mm from it, "
              f"{summary['status']}")
-    results.report(options, summary, lambda: _lines(rod, steps, summary))
+    results.report(options, summary, lambda: _lines(rod, summary))
     return 0
 
 
@@ -315,7 +315,7 @@ def _summary(steps: list[Step], unit: Stiffness, true: Material, written: list[P
     }
 
 
-def _lines(rod: SteeredRod, steps: list[Step], summary: dict) -> list[str]:
+def _lines(rod: SteeredRod, summary: dict) -> list[str]:
     unit = {"Nm2": "N m²", "mm3": "mm³"}[summary["unit"]]
     frames = ", ".join(f"{word} in {count}" for word, count in summary["frames"].items())
     learned = [f"  {name:<11} {found['value']:.3g} {unit}, 95 % within {found['low']:.3g} and {found['high']:.3g}; true "

@@ -171,7 +171,7 @@ def _remarks(plane: LandscapePlane) -> list[str]:
 def _put_legend(figure, planes: list[LandscapePlane], columns: int, marks: str | None = None,
                 with_region: bool = False) -> None:
     """The legend below the axes, its entries in rows: matplotlib fills columns first. ``marks`` as in :func:`_legend`."""
-    keys = _legend(planes, marks, with_region) + _regime_keys(planes)
+    keys = _legend(planes, marks, with_region)
     if keys:
         rows = [key for column in range(columns) for key in keys[column::columns]]
         figure.legend(handles=rows, loc="outside lower center", ncols=min(columns, len(keys)), frameon=False, fontsize=10,
@@ -179,8 +179,9 @@ def _put_legend(figure, planes: list[LandscapePlane], columns: int, marks: str |
 
 
 def _legend(planes: list[LandscapePlane], marks: str | None, with_region: bool) -> list:
-    """Entries for the minimum, the valley, marks, cells that do not compete or have no value, and the region. ``marks`` says
-    what the panels' marks are, empty where there are none; None: of one landscape, with its numbers."""
+    """Entries for the minimum, the valley, marks, cells that do not compete or have no value, the region, and the regimes of a
+    ribbon with the lines between them. ``marks`` says what the panels' marks are, empty where there are none; None: of one
+    landscape, with its numbers."""
     line, keys = all(len(plane.axes) == 1 for plane in planes), []
     if any(plane.minimum is not None for plane in planes):
         at = cells = ""
@@ -203,18 +204,12 @@ def _legend(planes: list[LandscapePlane], marks: str | None, with_region: bool) 
     if with_region:
         keys.append(Line2D([], [], color=drawing.REGION, linewidth=2.2, linestyle="--", path_effects=drawing.edged(),
                            label="confidence region"))
+    if twists := sorted({plane.twist for plane in planes if plane.twist is not None}):
+        label = f"B₁₁ = B₂₂, B₁₁ = β and B₂₂ = β, β = {', '.join(canvas.quantity(twist, 'mm³') for twist in twists)}"
+        keys.append(Line2D([], [], color=drawing.BORDER, linewidth=1.4, linestyle=(0, (5, 3)), label=label))
+        keys += [_point(regime, marker=f"${number}$", markersize=9, color=drawing.BORDER)
+                 for number, regime in enumerate(drawing.REGIMES, 1)]
     return keys
-
-
-def _regime_keys(planes: list[LandscapePlane]) -> list:
-    """Entries for the regimes of a ribbon and the lines between them, where there are any."""
-    twists = sorted({plane.twist for plane in planes if plane.twist is not None})
-    if not twists:
-        return []
-    label = f"B₁₁ = B₂₂, B₁₁ = β and B₂₂ = β, β = {', '.join(canvas.quantity(twist, 'mm³') for twist in twists)}"
-    return [Line2D([], [], color=drawing.BORDER, linewidth=1.4, linestyle=(0, (5, 3)), label=label),
-            *(_point(regime, marker=f"${number}$", markersize=9, color=drawing.BORDER)
-              for number, regime in enumerate(drawing.REGIMES, 1))]
 
 
 def _point(label: str, **style):
