@@ -189,9 +189,9 @@ def _check_reading(rig: Rig, marks: Marks, points: Points, chosen: Triangulation
     rods = points.position.reshape(len(marks.names), -1, 3)
     spacing = np.linalg.norm(np.diff(rods, axis=1), axis=-1)
     spacing = float(np.median(spacing[np.isfinite(spacing)])) if np.isfinite(spacing).any() else np.nan
-    if rig.reading.unit is None and spacing < LEAST_SPACING_MM <= spacing * UNITS_IN_MM["m"]:
-        raise InputError(rig.source, "cameras", f"marks are {spacing:.2g} mm apart, unless its lengths are in m",
-                         "give --rig-unit m, or --rig-unit mm where that is so")
+    in_m = rig.reading.unit is None and spacing < LEAST_SPACING_MM <= spacing * UNITS_IN_MM["m"]
+    require(not in_m, rig.source, "cameras", f"marks are {spacing:.2g} mm apart, unless its lengths are in m",
+            "give --rig-unit m, or --rig-unit mm where that is so")
     labelled = (np.isfinite(marks.pixels).all(axis=-1).sum(axis=0) > 1).sum()
     for other, assumed, option in rig.read_otherwise():
         if other.reading.poses is not None and 2 * points.valid.sum() < labelled:
@@ -225,21 +225,22 @@ def _doubt_rig(rig: Rig, marks: Marks, points: Points, chosen: TriangulationOpti
     pixels = pixels[:, :: -(-pixels.shape[1] // MOST_TRIED)]
     tried = [(label_scatter(rig, scale * pixels) / scale, f"images had {scale:.3g} times as many pixels a side",
               "label images as they were calibrated, or calibrate with images as they were labelled") for scale in SCALES]
-    each = []
-    for one, other in combinations(range(len(pixels)), 2):
+    pairs = {pair: " and ".join(in_line(rig.names[camera]) for camera in pair) for pair in combinations(range(len(pixels)), 2)}
+    for (one, other), names in pairs.items():
         order = np.arange(len(pixels))
         order[[one, other]] = other, one
-        names = f"{in_line(rig.names[one])} and {in_line(rig.names[other])}"
         tried.append((label_scatter(rig, pixels[order]), f"{names} are exchanged", "correct the cameras' names"))
-        each.append(f"{names} {label_scatter(rig.take([one, other]), pixels[[one, other]]):.2g}")
     best, assumed, remedy = min(tried)
     if FAR_OFF * best < now:
         warn(f"{in_line(rig.source)}: labels scatter by {now:.2g} px, but {best:.2g} px if {assumed}: {remedy}")
-    elif now > WITHIN * chosen.sigma_px:
+        return True
+    if now > WITHIN * chosen.sigma_px:
+        each = [f"{names} {label_scatter(rig.take(pair), pixels[list(pair)]):.2g}" for pair, names in pairs.items()]
         warn(f"{in_line(rig.source)}: labels scatter by {now:.2g} px, {chosen.sigma_px:g} px were stated (pairs of cameras: "
              f"{', '.join(each)}): calibrate with images as those labelled, neither cropped nor scaled; check labels; or give "
              "--sigma-px")
-    return bool(FAR_OFF * best < now or now > WITHIN * chosen.sigma_px)
+        return True
+    return False
 
 
 def _doubt_labels(rig: Rig, marks: Marks, points: Points) -> None:

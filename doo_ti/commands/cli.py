@@ -11,19 +11,35 @@ import re
 import sys
 from collections.abc import Sequence
 from contextlib import redirect_stdout
-from importlib import import_module
 from typing import NoReturn
 
 from doo_ti import __version__
+from doo_ti.commands import (
+    cameras,
+    group,
+    identify,
+    machine,
+    perceive,
+    plan,
+    predict,
+    refine,
+    relax,
+    runs,
+    simulate,
+    steer,
+    sweep,
+    synth,
+    track,
+    twist,
+)
 from doo_ti.commands.help_text import ALWAYS, FIRST, nearest, overview
 from doo_ti.io.toml_file import scene_file
 from doo_ti.system.errors import InputError, InterruptedRunError
 from doo_ti.system.runtime import check_architecture
 from doo_ti.system.terminal import VisibleStream, visible
 
-DECLARING = [import_module(f"doo_ti.commands.{name}") for name in (
-    "relax", "twist", "sweep", "plan", "runs", "refine", "predict", "steer", "simulate", "group", "identify", "synth",
-    "machine", "cameras", "perceive", "track")]
+DECLARING = (relax, twist, sweep, plan, runs, refine, predict, steer, simulate, group, identify, synth, machine, cameras,
+             perceive, track)
 """The modules of the commands, in the order of their declaration."""
 
 

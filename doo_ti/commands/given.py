@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
+import doo_ti
 from doo_ti.commands.help_text import FIRST, examples
 from doo_ti.contact.obstacle_file import load_obstacles
 from doo_ti.contact.surroundings import Surroundings
@@ -145,8 +146,8 @@ def grid(options: Namespace, base: Grid | None = None) -> Grid:
         if text is None:
             continue
         refuse(options, others, f"given beside --{physical}", "give one of the two")
-        if options.linear_density is None:
-            raise InputError(SOURCE, "--linear-density", f"missing beside --{physical}", "give the rod's in g/m")
+        require(options.linear_density is not None, SOURCE, "--linear-density", f"missing beside --{physical}",
+                "give the rod's in g/m")
         axis = parse_axis(f"--{physical}", text, SOURCE)  # in N m²: relative to a weight of 1
         axes.append(Axis(name, bend_or_twist(axis.values, weight_per_length(options.linear_density)), axis.log))
     if base is not None:
@@ -160,9 +161,7 @@ def theta(options: Namespace):
     """The MotionTheta of ``--theta``, or None."""
     if options.theta is None:
         return None
-    from doo_ti.dynamics.theta import load_theta
-
-    return load_theta(options.theta)
+    return doo_ti.load_theta(options.theta)
 
 
 def newtons(options: Namespace, weight) -> np.ndarray | None:

@@ -10,19 +10,18 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+import doo_ti
 from doo_ti.commands import doubts, given, results
 from doo_ti.contact.surroundings import Surroundings, smallest_of_pairs
 from doo_ti.contact.touch import Touch
 from doo_ti.io.toml_file import scene_file
 from doo_ti.learning.landscape import status_counts
-from doo_ti.report.contact import GroupMotion, save_group
 from doo_ti.rod.types import Status
 from doo_ti.system.arguments import counted
 from doo_ti.system.errors import InputError, InterruptedRunError
 from doo_ti.system.terminal import in_line, progress
 
 if TYPE_CHECKING:
-    from doo_ti.groups.relax_group import GroupSolution
     from doo_ti.groups.scene import GroupScene
 
 OF_RODS = ("group", "contact_force", "touch")  # fields of a solution that are lists, one for each rod
@@ -40,7 +39,6 @@ def declare(add) -> None:
 
 
 def run(options: Namespace) -> int:
-    from doo_ti.groups.follow import follow_group
     from doo_ti.groups.scene import load_group_scene
 
     up = given.world_up(options)
@@ -50,7 +48,7 @@ def run(options: Namespace) -> int:
     with progress() as bar:
         task = bar.add_task(f"{scene.name} (kernels are compiled once on a machine)", total=len(scene.time), unit="moments")
         try:
-            for solution in follow_group(scene.group, scene.clamps, up=up, **scene.arguments):
+            for solution in doo_ti.follow_group(scene.group, scene.clamps, up=up, **scene.arguments):
                 moments.append(solution)
                 bar.advance(task)
         except InputError as error:
@@ -70,7 +68,7 @@ def run(options: Namespace) -> int:
     return 0 if moments[-1].converged[0] else 1
 
 
-def _arrays(scene: "GroupScene", moments: "list[GroupSolution]") -> dict[str, np.ndarray]:
+def _arrays(scene: "GroupScene", moments: "list[doo_ti.GroupSolution]") -> dict[str, np.ndarray]:
     """What is written, with the vertices and edges of all rods one after the other."""
     def along(values) -> np.ndarray:
         """(T, all vertices or edges, ...) from those of each rod at each moment."""
@@ -91,8 +89,8 @@ def _arrays(scene: "GroupScene", moments: "list[GroupSolution]") -> dict[str, np
     return results.in_newton(arrays, None if scene.newton is None else np.array([scene.newton]), 0)
 
 
-def _draw(scene: "GroupScene", moments: "list[GroupSolution]", up: np.ndarray, picture: Path | None, recording: Path | None
-          ) -> None:
+def _draw(scene: "GroupScene", moments: "list[doo_ti.GroupSolution]", up: np.ndarray, picture: Path | None,
+          recording: Path | None) -> None:
     wanted = [path for path in (picture, recording) if path is not None]
     if not wanted:
         return
@@ -100,6 +98,8 @@ def _draw(scene: "GroupScene", moments: "list[GroupSolution]", up: np.ndarray, p
         print(f"doo-ti: note: {' and '.join(map(in_line, wanted))} not written: the rods have no place at any moment",
               file=sys.stderr)
         return
+    from doo_ti.report.contact import GroupMotion, save_group
+
     seen = GroupMotion.of(moments, scene.name, scene.names, scene.surroundings, scene.rate, up, scene.newton)
     if picture is not None:
         save_group(picture, seen)
@@ -109,7 +109,7 @@ def _draw(scene: "GroupScene", moments: "list[GroupSolution]", up: np.ndarray, p
         record_group(recording, seen)
 
 
-def _summary(scene: "GroupScene", moments: "list[GroupSolution]", out: Path) -> dict:
+def _summary(scene: "GroupScene", moments: "list[doo_ti.GroupSolution]", out: Path) -> dict:
     status = np.array([moment.status[0] for moment in moments])
     last = moments[-1]
     gap, closure = (np.array([getattr(moment, name)[0] for moment in moments]) for name in ("gap", "closure"))

@@ -6,11 +6,10 @@ from pathlib import Path
 
 import numpy as np
 
+import doo_ti
 from doo_ti.commands import doubts, given, loading, results
 from doo_ti.dynamics.recorded import RecordedMotion
 from doo_ti.io.observation_files import load_observations
-from doo_ti.report.contact import Touched
-from doo_ti.report.motions import save_rollout
 from doo_ti.system.errors import InputError, require
 from doo_ti.system.terminal import in_line, progress
 
@@ -51,7 +50,7 @@ def declare(add) -> None:
 
 
 def run(options: Namespace) -> int:
-    from doo_ti.dynamics.identify import IdentifyOptions, guesses, identify_from_guesses, require_clear_grippers
+    from doo_ti.dynamics.identify import guesses, require_clear_grippers
 
     fitted = tuple(filter(None, options.fit.split(",")))
     if unknown := next((name for name in fitted if name not in FITTED), None):
@@ -59,8 +58,8 @@ def run(options: Namespace) -> int:
     surroundings = given.surroundings(options)
     if "friction" in fitted and not surroundings.bodies:
         raise InputError(given.SOURCE, "--fit", "friction without obstacles", "give --obstacles and --radius, or leave it out")
-    chosen = IdentifyOptions(options.modes, fitted, delta=options.robust, substeps=options.substeps, surroundings=surroundings,
-                             smoothing=options.smoothing, clip=options.clip)
+    chosen = doo_ti.IdentifyOptions(options.modes, fitted, delta=options.robust, substeps=options.substeps,
+                                    surroundings=surroundings, smoothing=options.smoothing, clip=options.clip)
     motion = RecordedMotion.together(loading.recordings(options, options.motions), options.motions)
     up = given.world_up(options, motion.up)
     stills = _stills(options, motion, surroundings)
@@ -73,7 +72,7 @@ def run(options: Namespace) -> int:
             task = bar.add_task(label, total=chosen.rounds, unit="iterations")
             def advance(horizon, k, error):
                 bar.update(task, advance=1, rate=f"{horizon} frames: {error:.3g} mm")
-            found = identify_from_guesses(part, chosen, options.bend, up, advance, stills)
+            found = doo_ti.identify_from_guesses(part, chosen, options.bend, up, advance, stills)
             bar.update(task, completed=chosen.rounds)
             return found
         held_out = _held_out(motion, options.folds, chosen, fit) if options.folds else None
@@ -94,6 +93,9 @@ def run(options: Namespace) -> int:
     doubts.say(options.motions[0], "the best guess is half as far off if the last marker is on the gripper; give the markers "
                "from the gripper on" if motion.free_end and _better_reversed(motion, chosen, up) else None)
     if options.picture is not None:
+        from doo_ti.report.contact import Touched
+        from doo_ti.report.motions import save_rollout
+
         positions, _, _, simulation = rollouts.simulated(found.theta)
         touched = Touched(surroundings, positions, simulation.contact_force) if surroundings else None
         save_rollout(options.picture, "identified", list(motion.names), positions, motion.positions, motion.rate,
@@ -114,14 +116,13 @@ def _better_reversed(motion, chosen, up) -> bool:
 def _stills(options: Namespace, motion, surroundings) -> list:
     """The observations at rest of the rod in ``motion``, with their noise, checked."""
     from doo_ti.dynamics.rollouts import roll_reference
-    from doo_ti.dynamics.theta import Stills
 
     noise = options.still_noise
     if not options.still:
         given.refuse(options, ("still_noise",), "given without --still", "give both")
     found = [load_observations(path, options.up) for path in options.still]
     for one in found:
-        Stills.of(one, roll_reference(motion), motion.edge_lengths().sum(), surroundings)
+        doo_ti.Stills.of(one, roll_reference(motion), motion.edge_lengths().sum(), surroundings)
     return found if noise is None else [replace(one, sigma=np.array(noise)) for one in found]
 
 

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
+import doo_ti
 from doo_ti.commands import doubts, given, loading
 from doo_ti.commands.loading import MOST_EDGES, read_rest_length
 from doo_ti.contact.surroundings import Surroundings
@@ -108,12 +109,11 @@ def by_camera(option: str, texts: Iterable[str] | None, names: tuple[str, ...], 
 
 def sight(options: Namespace, sets, method: str = "ridge"):
     """The Sight that :func:`add_thread` describes, of the images in ``sets``."""
-    from doo_ti.vision.detection import DetectionOptions
     from doo_ti.vision.sight import Sight, mask_of
 
     regions = by_camera("--region", options.region, sets.rig.names, "X,Y,W,H", given.numbers(None, given.FROM_ZERO))
     for region in regions.values():
-        DetectionOptions(region=region)
+        doo_ti.DetectionOptions(region=region)
     masks = None if options.masks is None else [Path(mask) for mask in options.masks]
     if masks is not None and len(masks) == 1 and masks[0].is_dir():
         masks = masks[0]
@@ -123,15 +123,14 @@ def sight(options: Namespace, sets, method: str = "ridge"):
                 raise InputError(masks, twice.stem, "the mask of several cameras' images of this name",
                                  "put masks into folders that are named as those of the images are")
     elif masks is not None:
-        if sets.count > 1 or len(masks) != len(sets.rig.cameras):
-            raise InputError(given.SOURCE, "--masks", f"{len(masks)} for {sets.count} sets of {len(sets.rig.cameras)} images",
-                             "give one for each camera of a single set, or a folder")
+        require(sets.count == 1 and len(masks) == len(sets.rig.cameras), given.SOURCE, "--masks", f"{len(masks)} for "
+                f"{sets.count} sets of {len(sets.rig.cameras)} images", "give one for each camera of a single set, or a folder")
         masks = dict(zip(sets.rig.names, masks, strict=True))
     clicked = options.colour == CLICKED
     if clicked and sets.clicks is None:
         raise InputError(given.SOURCE, "--colour", "clicked, and no pixel is", "give --seed-pixel, or a colour")
     colour, stated = None if clicked else options.colour, [options.polarity, options.width, options.colour, masks]
-    return Sight(DetectionOptions(method, options.polarity, options.width, colour=colour), regions, masks,
+    return Sight(doo_ti.DetectionOptions(method, options.polarity, options.width, colour=colour), regions, masks,
                  sets.clicks if clicked or stated == [None] * 4 else None, clicked)
 
 
@@ -173,12 +172,12 @@ def warn_of_rig(options: Namespace, sets, length: float, verdicts: np.ndarray, c
     """Print a warning where found rods of ``length`` mm are in another unit, and, where none is clear nor near to the line in
     every camera, by its ``camera_error`` (A, C) px, if the lines ``detected`` in the first clicked set fit together much better
     with the rig's file read otherwise, by options that were not given, or as images of the cameras in another order."""
-    from doo_ti.perception.perceive import PerceptionVerdict
     from doo_ti.perception.seeds import fit_better
 
-    if likely_unit(length) or (verdicts != PerceptionVerdict.NOT_FOUND).any():  # of what is not found a unit explains some
+    verdict = doo_ti.PerceptionVerdict
+    if likely_unit(length) or (verdicts != verdict.NOT_FOUND).any():  # of what is not found a unit explains some
         warn_of_length(options, length)
-    fitting = (verdicts == PerceptionVerdict.CLEAR) | (camera_error <= FITTING_PX).all(axis=1)
+    fitting = (verdicts == verdict.CLEAR) | (camera_error <= FITTING_PX).all(axis=1)
     if sets.clicks is None or fitting.any():
         return
     others = {f"with {option}": other for other, _, option in sets.rig.read_otherwise() if other.reading.unit is None}
@@ -283,9 +282,8 @@ def _sets(options: Namespace, rig):
     if bool(options.seed_point) == bool(options.seed_pixel):
         both = "given beside --seed-pixel" if options.seed_pixel else "missing"
         raise InputError(given.SOURCE, "--seed-point", both, "give --seed-point, or --seed-pixel: where the rod begins")
-    if len(options.images) != len(rig.cameras):
-        raise InputError(given.SOURCE, "IMAGE", f"{len(options.images)} images, but the rig has {len(rig.cameras)} cameras",
-                         f"give one of each, in this order: {', '.join(rig.names)}")
+    require(len(options.images) == len(rig.cameras), given.SOURCE, "IMAGE", f"{len(options.images)} images, but the rig has "
+            f"{len(rig.cameras)} cameras", f"give one of each, in this order: {', '.join(rig.names)}")
     stems = tuple(Path(image).stem for image in options.images)
     if stems != rig.names and sorted(stems) == sorted(rig.names):
         raise InputError(given.SOURCE, "IMAGE", f"{', '.join(map(in_line, stems))} in another order than the rig's cameras",

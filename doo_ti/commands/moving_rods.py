@@ -4,10 +4,10 @@ say of rest curvature, friction, damping and drag."""
 from argparse import Namespace
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+import doo_ti
 from doo_ti.commands import doubts, given, loading, results
 from doo_ti.contact.surroundings import Surroundings
 from doo_ti.dynamics.parameters import Dynamics, Stepping
@@ -20,9 +20,6 @@ from doo_ti.rod.start import check_experiment, choose_hypothesis, observation_cl
 from doo_ti.rod.types import Clamp, Clamps, Configuration, Material
 from doo_ti.system.errors import InputError, require
 from doo_ti.system.terminal import busy, warn
-
-if TYPE_CHECKING:
-    from doo_ti.dynamics.grippers import Grippers
 
 LOSSES = ("bend_damping", "twist_damping", "drag", "quadratic_drag")
 MOST_STRETCH = 0.1  # by which the rod's length may differ from that of THETA.json
@@ -136,7 +133,7 @@ class SimulatedRods:
     names: list[str]
     start: Configuration
     material: Material
-    grippers: "Grippers"
+    grippers: "doo_ti.Grippers"
     dynamics: Dynamics
     stepping: Stepping
     up: np.ndarray
@@ -154,7 +151,6 @@ def simulated_rods(options: Namespace, out: Path, changes: dict) -> SimulatedRod
     from doo_ti.dynamics.theta import simulated
     from doo_ti.motion.path import LARGEST_TURN
     from doo_ti.motion.predict import begun, grippers_along, rate_of
-    from doo_ti.relaxation.newton import Newton
 
     given.refuse(options, ("fill_gaps", "smoothing"), "given, but the motion has no markers", "leave it out")
     start, end = given.clamps(options)
@@ -170,8 +166,8 @@ def simulated_rods(options: Namespace, out: Path, changes: dict) -> SimulatedRod
     dynamics = replace(dynamics, **{name: getattr(options, name) for name in LOSSES if getattr(options, name) is not None})
     warn_of(held, options)
     with busy(f"relaxing {len(held.names)} rods (kernels are compiled once on a machine)"):
-        _, rows, (first, clamps, _) = begun(held.start, held.material, held.clamps, path, LARGEST_TURN, held.up, Newton(),
-                                            "f64", held.surroundings.at(0))
+        _, rows, (first, clamps, _) = begun(held.start, held.material, held.clamps, path, LARGEST_TURN, held.up,
+                                            doo_ti.Newton(), "f64", held.surroundings.at(0))
     warn_of_start(held, first.configuration)
     failed = np.flatnonzero(~first.converged)
     if len(failed):
@@ -205,17 +201,14 @@ def _path(options: Namespace, up: np.ndarray) -> ClampPath:
 def settled(observations: Observations, clamps: Clamps, materials: Material, surroundings: Surroundings) -> Configuration:
     """(G·N) the rods at the start, material by material: of several whole turns that fit, what :func:`.choose_hypothesis`
     takes."""
-    from doo_ti.relaxation.relax import relax
-    from doo_ti.rod.metric import distance
-
     index, turns = turn_hypotheses(observations, clamps)
     starts = start_configuration(observations.take(index), clamps.take(index), turns)
     if len(index) == observations.count:
         return starts
     of_material, row = np.divmod(np.arange(materials.count * len(index)), len(index))
-    solution = relax(starts, materials, clamps.take(index), up=observations.up, configuration_index=row,
-                     material_index=of_material, **surroundings.arguments)
-    score = distance(solution.configuration, observations, index[row])
+    solution = doo_ti.relax(starts, materials, clamps.take(index), up=observations.up, configuration_index=row,
+                            material_index=of_material, **surroundings.arguments)
+    score = doo_ti.distance(solution.configuration, observations, index[row])
     best = choose_hypothesis(of_material * observations.count + index[row], score, solution.converged & solution.stable,
                              total_twist(solution.configuration.quaternions))
     doubts.warn_of_turns(observations, index[row][best], turns[row][best])
@@ -246,11 +239,9 @@ def warn_of(held: HeldRods, options: Namespace) -> None:
 def warn_of_start(held: HeldRods, rods: Configuration) -> None:
     """Print a warning where ``rods`` (R), at rest where their paths begin, are far from the marks of their observations; of
     those whose paths begin where they were observed."""
-    from doo_ti.rod.metric import distance
-
     row = np.arange(rods.count) % held.observations.count
     there = np.max([*_begins_off(held).values()], axis=0) <= NEAR * held.observations.rest_length.sum()
-    doubts.warn_of_distance(held.observations, np.where(there[row], distance(rods, held.observations, row), 0.0))
+    doubts.warn_of_distance(held.observations, np.where(there[row], doo_ti.distance(rods, held.observations, row), 0.0))
 
 
 def _begins_off(held: HeldRods) -> dict[str, np.ndarray]:

@@ -6,11 +6,11 @@ from pathlib import Path
 
 import numpy as np
 
+import doo_ti
 from doo_ti.commands import doubts, given, image_options, loading, results
 from doo_ti.commands.image_options import GUESSED_BEND, MOST_HYPOTHESES, RECORDED, SeenRods
 from doo_ti.learning.landscape import status_counts
 from doo_ti.perception.growth import GrowthSteps
-from doo_ti.report.figures import MOST_SETS, SeenRod, reprojections_picture
 from doo_ti.rod.types import Status
 from doo_ti.system.arguments import counted
 from doo_ti.system.errors import InputError
@@ -60,11 +60,10 @@ def declare(add) -> None:
 def run(options: Namespace) -> int:
     out, (task, truth) = options.out, image_options.rods_of_sets(options)
 
-    from doo_ti.perception.perceive import PerceptionOptions
     from doo_ti.vision.paths import thread_beyond
 
     chosen = {"nu": options.nu, "hypotheses": options.hypotheses, "evidence": options.evidence}
-    search = PerceptionOptions(**{name: value for name, value in chosen.items() if value is not None})
+    search = doo_ti.PerceptionOptions(**{name: value for name, value in chosen.items() if value is not None})
     sources = [options.rig, options.sets, options.truth, *(path for line in task.sets.paths for path in line)]
     beside = [suffix for suffix, left_out in ((".png", options.no_picture), (".rrd", options.no_recording)) if not left_out]
     for path in (out, *(given.output_file("--out", out.with_suffix(suffix), (suffix,)) for suffix in beside)):
@@ -175,9 +174,6 @@ def _left(sets, failed: dict[int, InputError]) -> np.ndarray:
 
 def _perceived(task: SeenRods, search, detected: list[list], seed_sigma: np.ndarray, growth: GrowthSteps, bar):
     """The Perception of all sets, in groups whose maps fit into memory; its steps are added to ``growth``."""
-    from doo_ti.perception.perceive import Perception, perceive
-    from doo_ti.vision.distance_map import distance_maps
-
     sets, edges = task.sets, len(task.rest_length)
     pixels = max(camera.width * camera.height for camera in sets.rig.cameras)
     together = max(1, MOST_MAP_BYTES // (4 * pixels * len(sets.rig.cameras)))
@@ -192,11 +188,11 @@ def _perceived(task: SeenRods, search, detected: list[list], seed_sigma: np.ndar
 
     for first in range(0, sets.count, together):
         rows = slice(first, first + together)
-        maps = distance_maps(detected[rows], MARGIN_PX)
-        found.append(perceive(maps, sets.rig, sets.point[rows], sets.direction[rows], task.rest_length, task.material,
-                              up=task.up, options=search, on_step=advance(first, len(maps.window)),
-                              surroundings=task.surroundings, start_sigma=seed_sigma[rows]))
-    return Perception.joined(found)
+        maps = doo_ti.distance_maps(detected[rows], MARGIN_PX)
+        found.append(doo_ti.perceive(maps, sets.rig, sets.point[rows], sets.direction[rows], task.rest_length, task.material,
+                                     up=task.up, options=search, on_step=advance(first, len(maps.window)),
+                                     surroundings=task.surroundings, start_sigma=seed_sigma[rows]))
+    return doo_ti.Perception.joined(found)
 
 
 def _arrays(task: SeenRods, found) -> dict[str, np.ndarray]:
@@ -225,14 +221,14 @@ def sigma_with_length(sigma: np.ndarray, length_range: np.ndarray, clicked: bool
 
 def _found(found) -> np.ndarray:
     """(S,) bool: the rod is a certified minimum, and the thread in the images."""
-    from doo_ti.perception.perceive import PerceptionVerdict
-
-    return found.sound & (found.verdict != PerceptionVerdict.NOT_FOUND)
+    return found.sound & (found.verdict != doo_ti.PerceptionVerdict.NOT_FOUND)
 
 
 def _shown(options: Namespace, task: SeenRods, truth: np.ndarray | None, detected: list[list], found, growth: GrowthSteps,
            out: Path) -> list[Path]:
     """Draw and record the result beside ``out``; returns the files."""
+    from doo_ti.report.figures import MOST_SETS, SeenRod, reprojections_picture
+
     rig, written = task.sets.rig, []
     there = np.flatnonzero(np.isfinite(found.vertices).all(axis=(1, 2)))
 
@@ -264,8 +260,6 @@ def _shown(options: Namespace, task: SeenRods, truth: np.ndarray | None, detecte
 def _summary(task: SeenRods, truth: np.ndarray | None, detected: list[list], found, failed: dict[int, InputError],
              written: list[Path]) -> dict:
     """The content of ``--json``, from which the lines of text are made."""
-    from doo_ti.perception.perceive import PerceptionVerdict
-
     error = None
     if truth is not None and truth.shape[1] == found.vertices.shape[1]:  # distances to the true rods' marks
         error = np.linalg.norm(found.vertices - truth, axis=-1)
@@ -286,7 +280,7 @@ def _summary(task: SeenRods, truth: np.ndarray | None, detected: list[list], fou
         "detected_width_px": np.median([detection.width_px for line in detected for detection in line]),
         "status": status_counts(found.status), "stable": found.stable.sum(),
         "not_certified": (~found.sound).sum(), "found": _found(found).sum(),
-        "verdicts": {_word(verdict): (found.verdict == verdict).sum() for verdict in PerceptionVerdict},
+        "verdicts": {_word(verdict): (found.verdict == verdict).sum() for verdict in doo_ti.PerceptionVerdict},
         "guessed_bend_mm3": GUESSED_BEND if task.guessed else None,
         "orientation": image_options.orientation_note(
             (path for line in task.sets.paths for path in line), task.sets.rig.cameras[0].turned),
@@ -295,9 +289,7 @@ def _summary(task: SeenRods, truth: np.ndarray | None, detected: list[list], fou
 
 
 def _word(verdict: int) -> str:
-    from doo_ti.perception.perceive import PerceptionVerdict
-
-    return PerceptionVerdict(verdict).name.lower().replace("_", " ")
+    return doo_ti.PerceptionVerdict(verdict).name.lower().replace("_", " ")
 
 
 def _lines(summary: dict) -> list[str]:

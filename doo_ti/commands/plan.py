@@ -9,7 +9,6 @@ import numpy as np
 from doo_ti.commands import doubts, given, loading, results
 from doo_ti.io.scene import Synthesis, load_scene
 from doo_ti.io.toml_file import scene_file
-from doo_ti.report.figures import identifiability_picture
 from doo_ti.rod.observations import Observations
 from doo_ti.system.files import csv_text, write_text
 from doo_ti.system.terminal import in_line
@@ -77,6 +76,8 @@ def _summary(configurations: Observations, found, sigma: float) -> dict:
 
 def _write(out: Path, configurations: Observations, found, summary: dict) -> None:
     """plan.json, plan.csv and identifiability.png."""
+    from doo_ti.report.figures import identifiability_picture
+
     results.save_json(out / "plan.json", summary)
     rank = np.full(configurations.count, 0)
     rank[found.order] = 1 + np.arange(len(found.order))

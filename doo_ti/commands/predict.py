@@ -7,14 +7,13 @@ from pathlib import Path
 
 import numpy as np
 
+import doo_ti
 from doo_ti.commands import doubts, given, loading, results
 from doo_ti.commands.moving_rods import OF_MOTIONS, HeldRods, add_motion, check_reach, held_rods, warn_of, warn_of_start
 from doo_ti.dynamics.parameters import LEAST_WAY, Dynamics, Stepping
 from doo_ti.io.scene import PRECISIONS
 from doo_ti.io.toml_file import scene_file
 from doo_ti.learning.landscape import status_counts
-from doo_ti.report.contact import Touched
-from doo_ti.report.motions import MovingRods, motions_picture
 from doo_ti.rod.frames import matrix_from_quaternion
 from doo_ti.rod.material import STANDARD_GRAVITY
 from doo_ti.rod.types import Clamp, Configuration, Status
@@ -64,17 +63,15 @@ def run(options: Namespace) -> int:
     require(count * intervals * rods.start.edges * 32 <= MOST_BYTES, given.SOURCE, "--steps-between",
             f"{count} rods at {intervals + 1} moments are too many to hold", "give fewer materials, observations or moments")
 
-    from doo_ti.motion.predict import predict, predict_moving
-
     with progress() as bar:
         shown = bar.add_task(rods.name, total=count * intervals, unit="rods x moments")
         moved = rods.start, rods.material, rods.clamps, rods.path
         chosen = {"between": between, "up": rods.up, "advance": lambda done: bar.advance(shown, done),
                   **rods.surroundings.arguments}
         if stepping is None:
-            prediction = predict(*moved, sub_step=sub_step, precision=options.precision, **chosen)
+            prediction = doo_ti.predict(*moved, sub_step=sub_step, precision=options.precision, **chosen)
         else:
-            prediction = predict_moving(*moved, Dynamics(density=1.0), stepping, **chosen)
+            prediction = doo_ti.predict_moving(*moved, Dynamics(density=1.0), stepping, **chosen)
     if rods.observations is not None:
         warn_of_start(rods, prediction.at(0))
     result = _arrays(rods, prediction)
@@ -234,6 +231,9 @@ def _summary(rods: HeldRods, prediction, result: dict, out: Path) -> dict:
 def _draw(rods: HeldRods, prediction, arrays: dict[str, np.ndarray], picture: Path | None, recording: Path | None,
           lines: list[str]) -> None:
     """Write the picture and the recording that are asked for, of the file's ``arrays``; ``lines`` are the result as text."""
+    from doo_ti.report.contact import Touched
+    from doo_ti.report.motions import MovingRods, motions_picture
+
     seen = rods.observations
     marks = None if seen is None else np.where(seen.valid[..., None], seen.vertices, np.nan)[prediction.motion]
     touched = None if not rods.surroundings else Touched(rods.surroundings, *(

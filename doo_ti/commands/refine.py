@@ -5,26 +5,22 @@ import os
 from argparse import Namespace
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+import doo_ti
 from doo_ti.commands import doubts, given, loading, results
 from doo_ti.commands.refine_text import summary_lines, summary_of
 from doo_ti.io.arrays import read_npz
 from doo_ti.learning.chunks import DENSITY, read_summary
 from doo_ti.learning.landscape import Landscape, plane_of, read_landscape
 from doo_ti.refinement.theta import common_rod
-from doo_ti.report.landscapes import landscape_picture
 from doo_ti.rod.observations import UNKNOWN_SPACING, Observations
 from doo_ti.rod.start import check_experiment, observation_clamps
 from doo_ti.rod.types import Clamps
 from doo_ti.system.errors import InputError, require
 from doo_ti.system.files import read_content
 from doo_ti.system.terminal import busy, in_line
-
-if TYPE_CHECKING:
-    from doo_ti.refinement.refine import RefinementOptions
 
 REFINED = "refined.json"  # in the folder of a run, with its picture beside it
 STARTS = 3
@@ -81,8 +77,8 @@ def _frames(option: str, text: str) -> str | tuple[float, float]:
     if text == "exact":
         return text
     error = given.NUMBERS(option, text)
-    if len(error) != 2 or min(error) <= 0:
-        raise InputError(given.SOURCE, option, f"{text!r}", "give exact, or two positive numbers: mm,degrees")
+    require(len(error) == 2 and min(error) > 0, given.SOURCE, option, f"{text!r}",
+            "give exact, or two positive numbers: mm,degrees")
     return error[0], float(np.radians(error[1]))
 
 
@@ -96,7 +92,7 @@ class Task:
     thetas: tuple
     density: float | None
     landscape: Landscape | None
-    chosen: "RefinementOptions"
+    chosen: "doo_ti.RefinementOptions"
 
 
 def run(options: Namespace) -> int:
@@ -106,7 +102,6 @@ def run(options: Namespace) -> int:
 
     from doo_ti.learning.up_axes import other_up_of
     from doo_ti.refinement.folds import folds_of, refine_held_out
-    from doo_ti.refinement.refine import refine
 
     for task in tasks:
         if task.landscape is None:
@@ -116,7 +111,7 @@ def run(options: Namespace) -> int:
     for task, split in zip(tasks, splits, strict=True):
         around, loads = task.chosen.surroundings, task.chosen.loads
         with busy(f"refining {task.observations.name} (kernels are compiled once on a machine)"):
-            found = refine(task.observations, task.clamps, task.thetas, task.chosen)
+            found = doo_ti.refine(task.observations, task.clamps, task.thetas, task.chosen)
         mesh = np.full(found.mesh_edges, task.observations.rest_length.sum() / found.mesh_edges)
         doubts.say(task.observations.source, doubts.mesh_doubt(mesh, around),
                    doubts.repeats_doubt(task.observations, found.adequacy.noise))
@@ -125,18 +120,19 @@ def run(options: Namespace) -> int:
             with busy(f"cross-validating {task.observations.name} in {folds} folds"):
                 begin = replace(found.theta, rest_curvature=None)
                 held_out = refine_held_out(task.observations, task.clamps, begin, split, task.chosen)
-        summary = summary_of(task.observations, around, found, held_out, task.density, loads is not None)
         weight = found.theta.weight if loads is None else 0.0  # what bodies that hang on rods do is not compared
         other = other_up_of(task.observations, task.clamps, weight, found.theta.up, around)
-        summaries.append(summary | {"other_up": other, "of_run": task.landscape is not None})
-        written = [] if task.landscape is None else _kept(task.landscape, found, summaries[-1])
+        summary = summary_of(task.observations, around, found, held_out, task.density, loads is not None) | {
+            "other_up": other, "of_run": task.landscape is not None}
+        summaries.append(summary)
+        written = [] if task.landscape is None else _kept(task.landscape, found, summary)
         if not options.json:
-            first, *rest = summary_lines(summaries[-1])
+            first, *rest = summary_lines(summary)
             kept = [f"  {'written to':<18} {in_line(path)}" for path in written]
             if not written and out is None:
                 kept = [f"  {'written to':<18} no file: give --out F.json to keep this"]
             print("\n".join([first, loading.rod_line(task.observations), *rest, *kept]))
-        doubts.say(task.observations.source, loading.up_text(summaries[-1]["other_up"]))
+        doubts.say(task.observations.source, loading.up_text(other))
     if out is not None:
         results.save_json(out, summaries)
     if options.json:
@@ -150,6 +146,8 @@ def run(options: Namespace) -> int:
 def _kept(landscape, found, summary: dict) -> list[Path]:
     """Write the result into the folder of its run, as --json prints it, and where the grid has two of the learned parameters
     the landscape with their joint 95 % region; returns the files."""
+    from doo_ti.report.landscapes import landscape_picture
+
     path, grid, estimate = landscape.run / REFINED, landscape.grid, found.estimate
     results.save_json(path, [summary])
     free = [axis.name for axis in grid.axes if len(axis) > 1]
@@ -185,6 +183,11 @@ def _task(options: Namespace, source: str) -> Task:
         observations = replace(observations, spacing_error=options.spacing_error)
     loads = None if options.mass is None else _loads(options.mass, observations, density)
     kinds = given.clamps(options, kinds)
+    curvature = options.rest_curvature
+    for name, own in OLD_CURVATURES.items():
+        if name in names:
+            names.remove(name)
+            curvature = curvature or own
     exact = "exact" in (options.clamps, options.frames)
     every, observations = observations.labels, loading.with_ends_in_reach(observations, *kinds, exact)
     loads = None if loads is None else loads[np.isin(every, observations.labels)]
@@ -246,17 +249,10 @@ def _of_run(options: Namespace, run: Path):
             own.frame_weight if options.frame_weight is None else options.frame_weight, own.surroundings, landscape)
 
 
-def _refinement_options(options: Namespace, **of_source) -> "RefinementOptions":
+def _refinement_options(options: Namespace, **of_source) -> "doo_ti.RefinementOptions":
     """What the options say, and the fields that are ``of_source``."""
-    from doo_ti.refinement.refine import RefinementOptions
-
     names = [name.strip().replace("-", "_") for name in options.parameters.split(",") if name.strip()]
-    curvature = options.rest_curvature
-    for name, own in OLD_CURVATURES.items():
-        if name in names:
-            names.remove(name)
-            curvature = curvature or own
     exact = "exact" in (options.clamps, options.frames)
-    return RefinementOptions(
+    return doo_ti.RefinementOptions(
         tuple(names), options.clip, curvature or "auto", options.stiffness, "exact" if exact else "loose",
         None if options.frames == "exact" else options.frames, edges=options.edges, models=not options.no_models, **of_source)

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
+import doo_ti
 from doo_ti.commands import doubts, given, loading, results
 from doo_ti.commands.moving_rods import with_rest_curvature
 from doo_ti.learning.landscape import status_counts
@@ -42,8 +43,6 @@ def run_relax(options: Namespace) -> int:
     doubts.warn(observations, surroundings, **loading.stated(options))
 
     from doo_ti.learning.experiment import SOLVERS
-    from doo_ti.relaxation.relax import relax as relax_rods
-    from doo_ti.rod.metric import distance
 
     material = with_rest_curvature(options, grid.materials(), observations.rest_length)
     index, turns = turn_hypotheses(observations, clamps)
@@ -52,10 +51,10 @@ def run_relax(options: Namespace) -> int:
     solver = None if surroundings else SOLVERS[options.solver]()
     with busy(f"relaxing {observed.count} rods (kernels are compiled once on a machine)"):
         start = start_configuration(observed, held, turns)
-        solution = relax_rods(start, material, held, solver, up=observations.up, precision=options.precision,
-                              **surroundings.arguments)
+        solution = doo_ti.relax(start, material, held, solver, up=observations.up, precision=options.precision,
+                                **surroundings.arguments)
     relaxed = solution.configuration
-    error = distance(relaxed, observations, index, frame_weight)
+    error = doo_ti.distance(relaxed, observations, index, frame_weight)
     infeasible = np.flatnonzero(solution.status == Status.INFEASIBLE)
     error[infeasible] = np.nan
     best = choose_hypothesis(index, error, solution.converged & solution.stable, total_twist(relaxed.quaternions))

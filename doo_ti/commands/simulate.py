@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+import doo_ti
 from doo_ti.commands import doubts, given, loading, moving_rods, results
 from doo_ti.commands.moving_rods import LOSSES, OF_MOTIONS, SimulatedRods
 from doo_ti.contact.surroundings import Surroundings
@@ -15,8 +16,6 @@ from doo_ti.io.pose_table import holds_poses
 from doo_ti.io.scene import PRECISIONS
 from doo_ti.io.toml_file import scene_file
 from doo_ti.learning.landscape import status_counts
-from doo_ti.report.contact import Touched
-from doo_ti.report.motions import save_animation, save_rollout
 from doo_ti.rod.types import Clamp, Status
 from doo_ti.system.arguments import counted
 from doo_ti.system.errors import InputError, require
@@ -115,11 +114,10 @@ def run(options: Namespace) -> int:
 
 
 def _recorded(options: Namespace, out: Path, changes: dict, up: np.ndarray) -> _Simulated:
-    from doo_ti.dynamics.identify import IdentifyOptions
     from doo_ti.dynamics.rollouts import Rollouts
 
-    if options.theta is None:
-        raise InputError(given.SOURCE, "--theta", "missing", "give the rod: a file that doo-ti identify has written")
+    require(options.theta is not None, given.SOURCE, "--theta", "missing",
+            "give the rod: a file that doo-ti identify has written")
     given.refuse(options, (*given.MATERIAL, *LOSSES, *OF_MOTIONS, *CLAMPS, "rest_length"), "given, but the rod is recorded",
                  "leave it out, or give observations with --motion")
     theta, surroundings = given.theta(options), given.surroundings(options)
@@ -134,7 +132,7 @@ def _recorded(options: Namespace, out: Path, changes: dict, up: np.ndarray) -> _
     stepping = Stepping(motion.rate, **changes)
     with progress() as bar:
         task = bar.add_task("simulating", total=motion.count * (motion.positions.shape[1] - 2), unit="rods x frames")
-        rollouts = Rollouts.of(motion, theta, stepping, IdentifyOptions.end, surroundings, options.smoothing)
+        rollouts = Rollouts.of(motion, theta, stepping, doo_ti.IdentifyOptions.end, surroundings, options.smoothing)
         positions, status, energies, found = rollouts.simulated(
             theta, progress=lambda done: bar.update(task, completed=motion.count * done))
     contact = found.contact_force, found.friction_work, found.touch
@@ -154,7 +152,6 @@ def _contact(surroundings: Surroundings, positions: np.ndarray, force, work, tou
 
 def _scene(options: Namespace, changes: dict, up: np.ndarray) -> _Simulated:
     from doo_ti.dynamics.scene import load_motion_scene
-    from doo_ti.relaxation.relax import relax
 
     given.refuse(options, ("theta", "fill_gaps", "rate", "smoothing", "free_end", *OF_MOTIONS, *given.MATERIAL, *LOSSES,
                            *CLAMPS, *loading.OF_OBSERVATIONS), "given, but a scene has its own rods", "leave it out")
@@ -174,8 +171,8 @@ def _scene(options: Namespace, changes: dict, up: np.ndarray) -> _Simulated:
         if Clamp.FREE == grippers.start and Clamp.FREE == grippers.end:
             raise InputError(options.source, "rod.at_rest", "both ends are free", "let it begin straight, or clamp an end")
         with busy(f"relaxing {count} rods (kernels are compiled once on a machine)"):
-            solution = relax(start, scene.material, grippers.at(0), up=up, configuration_index=pairs[0],
-                             material_index=pairs[1], **surroundings.at(0).arguments)
+            solution = doo_ti.relax(start, scene.material, grippers.at(0), up=up, configuration_index=pairs[0],
+                                    material_index=pairs[1], **surroundings.at(0).arguments)
         first_force = 0.0 if solution.contact_force is None else solution.contact_force
         start, pairs = solution.configuration, (np.arange(count), np.arange(count))
     grippers = grippers.take(pairs[0] * 0) if start.count > 1 else grippers
@@ -187,16 +184,14 @@ def _scene(options: Namespace, changes: dict, up: np.ndarray) -> _Simulated:
 
 def _carried(options: Namespace, moved: SimulatedRods) -> _Simulated:
     """The rods at all instants."""
-    from doo_ti.dynamics.simulate import simulate
-
     count, instants = len(moved.names), moved.grippers.instants
     stepping = replace(moved.stepping, detailed=True)
     with progress() as bar:
         task = bar.add_task(moved.name, total=count * (instants - 1), unit="rods x frames")
         try:
-            found = simulate(moved.start, moved.material, moved.grippers, moved.dynamics, stepping, up=moved.up,
-                             pairs=moved.pairs, progress=lambda done: bar.update(task, completed=count * done),
-                             **moved.surroundings.arguments)
+            found = doo_ti.simulate(moved.start, moved.material, moved.grippers, moved.dynamics, stepping, up=moved.up,
+                                    pairs=moved.pairs, progress=lambda done: bar.update(task, completed=count * done),
+                                    **moved.surroundings.arguments)
         except InputError as error:
             own = error.field == "obstacles" and options.obstacles is None
             raise InputError(options.source if own else error.source, error.field, error.problem, error.remedy) from None
@@ -291,8 +286,13 @@ def _lost_share(energies: dict[str, np.ndarray], positions: np.ndarray) -> np.nd
 
 
 def _draw(found: _Simulated, picture: Path | None, recording: Path | None, animation: Path | None) -> None:
+    if not (picture or recording or animation):
+        return
+    from doo_ti.report.contact import Touched
+    from doo_ti.report.motions import save_animation, save_rollout
+
     touched = None
-    if found.contact and (picture or recording or animation):
+    if found.contact:
         touched = Touched(found.surroundings, found.positions, found.contact["contact_force"], found.newtons)
     energies = {name: found.energies[name] for name in SPLIT} if found.energies else None
     rods = found.name, found.names, found.positions, found.recorded, found.rate, found.up

@@ -11,11 +11,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+import doo_ti
 from doo_ti.commands import doubts, given, image_options, loading, results
 from doo_ti.commands.moving_rods import settled, with_rest_curvature
 from doo_ti.contact.surroundings import Surroundings
 from doo_ti.io.motion_file import ClampPath, path_table
-from doo_ti.report.motions import servo_picture
 from doo_ti.rod.material import relative_stiffness, stiffness
 from doo_ti.rod.observations import Observations
 from doo_ti.rod.shapes import end_clamps
@@ -27,7 +27,6 @@ from doo_ti.system.terminal import busy, can_record, in_line, progress, warn
 from doo_ti.vision.cameras import Rig
 
 if TYPE_CHECKING:
-    from doo_ti.manipulation.belief import LearnedMaterial
     from doo_ti.perception.virtual_lab import SeenMoment, VirtualCameras
 
 SECONDS = given.number("a positive number of s up to 3600", lambda seconds: 0 < seconds <= 3600)
@@ -65,14 +64,11 @@ def run_steer(options: Namespace) -> int:
     out = options.out
     rod = steered_rod(options, [out])
 
-    from doo_ti.manipulation.plan import PlanOptions, plan_manipulation
-    from doo_ti.manipulation.targets import Targets
-
-    chosen = PlanOptions(free=rod.free, reached_mm=options.reached, seconds=options.seconds, seed=options.seed)
+    chosen = doo_ti.PlanOptions(free=rod.free, reached_mm=options.reached, seconds=options.seconds, seed=options.seed)
     with busy("planning (kernels are compiled once on a machine)"):
         start, held = rod.at_rest()
-        path = plan_manipulation(start.configuration, rod.material, held, Targets(rod.places), chosen, up=rod.observations.up,
-                                 **rod.surroundings.arguments)
+        path = doo_ti.plan_manipulation(start.configuration, rod.material, held, doo_ti.Targets(rod.places), chosen,
+                                        up=rod.observations.up, **rod.surroundings.arguments)
     write_text(out, path_table(path))
     if not path.reached:
         warn(f"{in_line(options.target)}: the target is not reached; the path ends {path.distance:.3g} mm from it, at the "
@@ -122,10 +118,8 @@ class SteeredRod:
     def at_rest(self) -> tuple[Solution, Clamps]:
         """The rod at the start, and its grippers, which hold frames from there on: where the file has none, those of the rod
         that rolls freely. Raises InputError where it has no stable equilibrium."""
-        from doo_ti.relaxation.relax import relax
-
         begin = settled(self.observations, self.clamps, self.material, self.surroundings)
-        start = relax(begin, self.material, self.clamps, up=self.observations.up, **self.surroundings.arguments)
+        start = doo_ti.relax(begin, self.material, self.clamps, up=self.observations.up, **self.surroundings.arguments)
         require((start.converged & start.stable).all(), self.source, "vertices_mm", "observation 0 has no stable equilibrium",
                 "give a rod that is held within its length" + ", outside the obstacles" * bool(self.surroundings))
         return start, end_clamps(start.configuration, Clamp.FRAME, Clamp.FRAME)
@@ -194,7 +188,7 @@ class Step:
     true_mm: float
     estimated_mm: float
     status: int
-    learned: "LearnedMaterial"
+    learned: "doo_ti.LearnedMaterial"
 
 
 @dataclass(frozen=True)
@@ -205,13 +199,15 @@ class Stiffness:
     unit: str
     factor: float
 
-    def of(self, learned: "LearnedMaterial") -> list[tuple[float, float, float]]:
+    def of(self, learned: "doo_ti.LearnedMaterial") -> list[tuple[float, float, float]]:
         """(value, low, high) of each."""
         return [(self.factor * value[0], *(self.factor * interval[0])) for value, interval in (
             (learned.bend, learned.bend_interval), (learned.twist, learned.twist_interval))]
 
 
 def run_servo(options: Namespace) -> int:
+    from doo_ti.report.motions import servo_picture
+
     folder, rig, reached = options.out, image_options.rig(options), options.reached
     rod = steered_rod(options, [folder / name for name in (PATH, TABLE, PICTURE, RECORDING)])
     density, weight, unit = options.linear_density, rod.material.weight[0], Stiffness(("bend", "twist"), "mm3", 1.0)
@@ -250,7 +246,7 @@ def run_servo(options: Namespace) -> int:
     if not summary["reached"]:
         warn(f"{in_line(options.target)}: the target is not reached; the rod is {summary['distance_mm']:.3g} mm from it, "
              f"{summary['status']}")
-    results.report(options, summary, lambda: _lines(rod, steps, summary))
+    results.report(options, summary, lambda: _lines(rod, summary))
     return 0
 
 
@@ -274,16 +270,13 @@ def _cameras(options: Namespace, rig: Rig, rod: SteeredRod) -> "VirtualCameras":
 def _steps(rod: SteeredRod, true: Material, cameras: "VirtualCameras", rig: Rig, most: int, reached: float
            ) -> tuple[Clamps, list[Step], np.ndarray]:
     """The grippers' first poses, what has been done, and (V, 3) mm the true rod at the end."""
-    from doo_ti.manipulation.servo import Servo
-    from doo_ti.manipulation.simulation import Simulation
-    from doo_ti.manipulation.targets import ServoOptions, Targets
     from doo_ti.perception.virtual_lab import TRACKED_NOISE
 
-    up, around, targets, steps = rod.observations.up, rod.surroundings.arguments, Targets(rod.places), []
+    up, around, targets, steps = rod.observations.up, rod.surroundings.arguments, doo_ti.Targets(rod.places), []
     with progress() as bar:
         shown = bar.add_task("steps", total=most, unit="steps")
         model, begin = rod.at_rest()
-        simulation = Simulation(model.configuration, true, begin, up=up, **around)
+        simulation = doo_ti.Simulation(model.configuration, true, begin, up=up, **around)
         state = simulation.state
         require((state.converged & state.stable).all(), given.SOURCE, "--true-EI",
                 "the true rod has no stable equilibrium at the start", "give another, or a rod that is held within its length")
@@ -292,9 +285,9 @@ def _steps(rod: SteeredRod, true: Material, cameras: "VirtualCameras", rig: Rig,
         if (seeing := sum(bool(camera.sees(vertices).all()) for camera in rig.cameras)) < 2:
             raise InputError(rig.source, "cameras", f"{seeing} of {len(rig.cameras)} see all of the rod at its start",
                              "let two or more look at it from different sides")
-        chosen = ServoOptions(free=rod.free, reached_mm=reached,
-                              noise_mm=TRACKED_NOISE * float(np.sum(rod.observations.rest_length)))
-        servo = Servo(model.configuration, rod.material, begin, targets, chosen, up=up, **around)
+        chosen = doo_ti.ServoOptions(free=rod.free, reached_mm=reached,
+                                     noise_mm=TRACKED_NOISE * float(np.sum(rod.observations.rest_length)))
+        servo = doo_ti.Servo(model.configuration, rod.material, begin, targets, chosen, up=up, **around)
         while len(steps) < most and not (len(steps) >= SETTLED and all(
                 step.status == STATUSES.index("reached") for step in steps[-SETTLED:])):
             truth, expected = state.configuration.vertices[0], servo.vertices[0]
@@ -322,7 +315,7 @@ def _summary(steps: list[Step], unit: Stiffness, true: Material, written: list[P
     }
 
 
-def _lines(rod: SteeredRod, steps: list[Step], summary: dict) -> list[str]:
+def _lines(rod: SteeredRod, summary: dict) -> list[str]:
     unit = {"Nm2": "N m²", "mm3": "mm³"}[summary["unit"]]
     frames = ", ".join(f"{word} in {count}" for word, count in summary["frames"].items())
     learned = [f"  {name:<11} {found['value']:.3g} {unit}, 95 % within {found['low']:.3g} and {found['high']:.3g}; true "

@@ -7,8 +7,8 @@ import time
 from argparse import Namespace
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
+import doo_ti
 from doo_ti.commands import doubts, given, loading, results
 from doo_ti.io.scene import MOST_ROLLS, OBJECTIVES, Scene, Synthesis, load_scene
 from doo_ti.io.toml_file import scene_file
@@ -21,9 +21,6 @@ from doo_ti.rod.start import check_experiment, observation_clamps
 from doo_ti.rod.types import Clamp
 from doo_ti.system.errors import InputError, require
 from doo_ti.system.terminal import in_line
-
-if TYPE_CHECKING:
-    from doo_ti.learning.experiment import SweepOptions
 
 MOST_WORKERS = 1024
 RIBBON_PARAMETERS = " --parameters bend-1,bend-2,twist"
@@ -59,7 +56,7 @@ class _Search:
     scene: Scene
     observations: Observations
     grid: Grid
-    options: "SweepOptions"
+    options: "doo_ti.SweepOptions"
     pairs: Pairs | None
     run: Path
 
@@ -76,13 +73,11 @@ def run_sweep(options: Namespace) -> int:
     for search in searches:
         doubts.warn(search.observations, search.options.surroundings, **loading.stated(options))
 
-    from doo_ti.learning.sweeps import sweep
-
     began, summaries, relaxed = time.monotonic(), [], []
     for search in searches:
         before = _stamp(search.run)
-        summary = sweep(search.run, search.observations, search.grid, options=search.options, pairs=search.pairs,
-                        command=options.words, linear_density=options.linear_density)
+        summary = doo_ti.sweep(search.run, search.observations, search.grid, options=search.options, pairs=search.pairs,
+                               command=options.words, linear_density=options.linear_density)
         summaries.append(summary)
         finished_before = _stamp(search.run) == before
         if not finished_before:
@@ -114,8 +109,8 @@ def _search(options: Namespace, source: str, run: Path) -> _Search:
         scene = Scene(in_line(Path(source).stem), Path(source), given.grid(options))
     grid, seed = given.grid(options, scene.grid), options.seed
     frame_weight = scene.frame_weight if options.frame_weight is None else options.frame_weight
-    if options.scheduler and options.workers:
-        raise InputError(given.SOURCE, "--dask", "given beside --workers", "give one of the two")
+    both = options.scheduler and options.workers
+    require(not both, given.SOURCE, "--dask", "given beside --workers", "give one of the two")
     if isinstance(scene.observations, Synthesis):
         seed = scene.observations.seed if seed is None else seed
         scene = replace(scene, observations=replace(scene.observations, seed=seed))
@@ -131,9 +126,9 @@ def _search(options: Namespace, source: str, run: Path) -> _Search:
     file = options.pairs or scene.pairs
     pairs = load_pairs(Path(file), observations) if file is not None and objective == "dynamic" else None
 
-    from doo_ti.learning.experiment import SOLVERS, SweepOptions
+    from doo_ti.learning.experiment import SOLVERS
 
-    chosen = SweepOptions(
+    chosen = doo_ti.SweepOptions(
         frame_weight=frame_weight, clamp_start=clamp_start, clamp_end=clamp_end, solver=SOLVERS[options.solver](),
         precision=options.precision or scene.precision, objective=objective,
         spins=scene.roll_hypotheses if options.spins is None else options.spins, seed=seed or 0,

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+import doo_ti
 from doo_ti.commands import doubts, given, image_options, results
 from doo_ti.commands.image_options import SeenRods
 from doo_ti.commands.perceive import LEAST_SIGMA_MM, sigma_with_length
@@ -105,9 +106,8 @@ def _far_motions(path: Path, frames: int) -> list:
     from doo_ti.motion.path import motion_between
 
     motion = load_path(path)
-    if motion.moments != frames or motion.count > 1:
-        raise InputError(path, "time_s", f"{motion.count} motions of {motion.moments} moments for {frames} frames",
-                         "give one motion, a moment for each frame")
+    require(motion.moments == frames and motion.count == 1, path, "time_s", f"{motion.count} motions of {motion.moments} "
+            f"moments for {frames} frames", "give one motion, a moment for each frame")
     origin, frame = np.zeros((1, 3)), np.eye(3)[None]
     rests = Clamps(Clamp.TANGENT, Clamp.TANGENT, origin, origin, frame, frame)
     return [motion_between(motion.at(moment, rests), motion.at(moment + 1, rests)) for moment in range(frames - 1)]
@@ -125,8 +125,6 @@ class _Start:
 def _tracked(options: Namespace, task: SeenRods, motions: list | None) -> tuple[np.ndarray, np.ndarray, list, str | None]:
     """(E,) mm, (2,) mm between which their sum is, NaN where it is given, the tracked frames, and the error that ended
     tracking, or None. An error before the first frame is raised. ``motions`` are those of :func:`_far_motions`, if known."""
-    from doo_ti.perception.perceive import PerceptionVerdict
-    from doo_ti.perception.tracking import Tracker
     from doo_ti.vision.synchronisation import epipolar_extremes
 
     frames, rest_length, known, problem = task.sets, task.rest_length, None, None
@@ -143,19 +141,19 @@ def _tracked(options: Namespace, task: SeenRods, motions: list | None) -> tuple[
                     if rest_length is None:
                         rest_length = task.length_bounds.rest_length(float(thread.length[0]))
                         length_range = np.clip(thread.range[0], task.length_bounds.least, task.length_bounds.most)
-                    tracker = Tracker(frames.rig, rest_length, task.material, up=task.up, surroundings=task.surroundings,
-                                      length_range=length_range)
+                    tracker = doo_ti.Tracker(frames.rig, rest_length, task.material, up=task.up, surroundings=task.surroundings,
+                                             length_range=length_range)
                 far = None if motions is None or row == 0 else motions[row - 1]
                 sigma.append(0.0 if frames.point is not None else
                              float(np.hypot(start.sigma, _off_thread(frames.rig, detected, start.point))))
                 frame = tracker.see(detected, start.point, start.direction, far, sigma[-1])
-                if row == 0 and frame.verdict == PerceptionVerdict.NOT_FOUND:
+                if row == 0 and frame.verdict == doo_ti.PerceptionVerdict.NOT_FOUND:
                     image_options.warn_of_rig(options, frames, rest_length.sum(), np.array([frame.verdict]),
                                               frame.camera_error[None], [detected])
-                known = start.point if frame.verdict <= PerceptionVerdict.LIKELY else known
+                known = start.point if frame.verdict <= doo_ti.PerceptionVerdict.LIKELY else known
                 found.append(frame)
                 starts.append(start)
-                seen.append(None if frame.verdict == PerceptionVerdict.CLEAR else detected)
+                seen.append(None if frame.verdict == doo_ti.PerceptionVerdict.CLEAR else detected)
                 bar.advance(shown)
             _look_back(tracker, found, seen, starts, sigma)
     except (InputError, OSError, KeyboardInterrupt) as error:
@@ -183,13 +181,10 @@ def _look_back(tracker, found: list, seen: list, starts: list[_Start], sigma: li
     """Follow rods back into earlier frames in which they were not found, or fit worse than in the next: the first frames of a
     video, and those in which a rod was hidden. ``seen``: the detections of frames that are not clear; ``sigma``, mm, how
     uncertain their starts are."""
-    from doo_ti.perception.perceive import PerceptionVerdict
-    from doo_ti.perception.tracking import How
-
     for row in range(len(found) - 2, -1, -1):
         now, after = found[row], found[row + 1]
-        likely = after.verdict <= PerceptionVerdict.LIKELY
-        worse = likely if now.how == How.LOST else now.verdict > after.verdict or now.energy_vis > after.energy_vis
+        likely = after.verdict <= doo_ti.PerceptionVerdict.LIKELY
+        worse = likely if now.how == doo_ti.How.LOST else now.verdict > after.verdict or now.energy_vis > after.energy_vis
         if worse and seen[row] is not None:
             found[row] = tracker.revised(now, after, seen[row], starts[row].point, starts[row].direction,
                                          sigma[row])
@@ -249,21 +244,20 @@ def _arrays(task: SeenRods, time: np.ndarray | None, rest_length: np.ndarray, le
 
 
 def _summary(task: SeenRods, found: list, result: dict, written: list[Path]) -> dict:
-    from doo_ti.perception.perceive import CERTAIN_MM, PerceptionVerdict
-    from doo_ti.perception.tracking import How
+    from doo_ti.perception.perceive import CERTAIN_MM
 
     start = np.array([frame.sigma[0] for frame in found])
     how, error, lengths = (result[name] for name in ("how", "camera_error_px", "rest_length_mm"))
     return {
         "frames": len(how), "cameras": task.sets.rig.names, "edges": len(lengths), "length_mm": lengths.sum(),
         "length_range_mm": result["length_range_mm"],
-        **{each.name.lower(): result["name"][how == each] for each in How},
-        "verdicts": {each.name.lower(): result["name"][(how < How.LOST) & (result["verdict"] == each)]
-                     for each in PerceptionVerdict if each != PerceptionVerdict.NOT_FOUND},
+        **{each.name.lower(): result["name"][how == each] for each in doo_ti.How},
+        "verdicts": {each.name.lower(): result["name"][(how < doo_ti.How.LOST) & (result["verdict"] == each)]
+                     for each in doo_ti.PerceptionVerdict if each != doo_ti.PerceptionVerdict.NOT_FOUND},
         "doubts": dict(Counter(doubt for frame in found for doubt in frame.doubts)),
         "start_sigma_mm": np.nanmax(start, initial=0.0),
         "stable": result["stable"].sum(), "uncertain": result["name"][start > CERTAIN_MM],
-        "camera_error_px": error[np.isfinite(error)].mean() if (how < How.LOST).any() else None,
+        "camera_error_px": error[np.isfinite(error)].mean() if (how < doo_ti.How.LOST).any() else None,
         "orientation": image_options.orientation_note(
             (path for line in task.sets.paths for path in line), task.sets.rig.cameras[0].turned),
         "written": [str(path) for path in written],

@@ -6,11 +6,11 @@ from pathlib import Path
 
 import numpy as np
 
+import doo_ti
 from doo_ti.commands import doubts, given, loading, results
 from doo_ti.commands.moving_rods import with_rest_curvature
 from doo_ti.io.observation_tables import write_columns
 from doo_ti.io.scene import PRECISIONS
-from doo_ti.report.figures import MOST_CURVES, angle_curves_picture
 from doo_ti.rod.grid import Grid
 from doo_ti.rod.observations import Observations
 from doo_ti.rod.start import check_experiment, observation_clamps
@@ -46,8 +46,7 @@ def run_twist(options: Namespace) -> int:
     observations = loading.load(options, options.observations)
     results.refuse_overwriting(out, options.observations)
 
-    from doo_ti.perception.twist import TwistOptions, estimate_twist
-    from doo_ti.perception.twist_curves import consecutive_groups, end_offsets, load_offsets
+    from doo_ti.perception.twist_curves import load_offsets
 
     offset = None
     if options.offset is not None:
@@ -56,17 +55,17 @@ def run_twist(options: Namespace) -> int:
     together = observations.count if options.offset or regrasps else 1
     if options.together is not None:
         together = given.whole(1, observations.count)("--observations", options.together)
-    group = consecutive_groups(observations.count, together, regrasps)
+    group = doo_ti.consecutive_groups(observations.count, together, regrasps)
     check_experiment(replace(observations, frames=None), observation_clamps(observations), grid.axes[-1].values[-1], 0.0)
     if offset is None and (together > 1 or options.offset):
-        offset = end_offsets(observations, group)
+        offset = doo_ti.end_offsets(observations, group)
     surroundings = given.surroundings(options)
     doubts.warn(observations, surroundings, **loading.stated(options))
     if all(getattr(options, name) is None for name in ("twist", "twist_ratio", "GJ", "theta")):
         warn("GJ is not given, and taken to be as large as EI: shapes show GJ times the twist, so half the GJ is twice the "
              "twist; give --GJ, or --twist")
     material = with_rest_curvature(options, grid.materials(), observations.rest_length)
-    search = TwistOptions(precision=options.precision, surroundings=surroundings)
+    search = doo_ti.TwistOptions(precision=options.precision, surroundings=surroundings)
     with progress() as bar:
         task = bar.add_task("twist", total=observations.count * len(search.angles), unit="rods")
 
@@ -75,7 +74,7 @@ def run_twist(options: Namespace) -> int:
             # How many rods refining the minima takes is known only afterwards.
             bar.update(task, total=max(bar.tasks[task].completed, bar.tasks[task].total))
 
-        estimate = estimate_twist(observations, material, group, offset, search, advance)
+        estimate = doo_ti.estimate_twist(observations, material, group, offset, search, advance)
     result = _arrays(estimate)
     if out.suffix == ".npz":
         results.save_arrays(out, result)
@@ -85,6 +84,8 @@ def run_twist(options: Namespace) -> int:
         shared = {name: result[name][result["group"]] for name in ("phi_deg", "least_mm", "verdict", "low_deg", "high_deg")}
         write_whole(out, lambda file: write_columns(file, {"observation": observations.labels, **own, **shared}))
     if options.picture is not None:
+        from doo_ti.report.figures import MOST_CURVES, angle_curves_picture
+
         names = [f"{_rows(observations, estimate, k)}: {np.degrees(estimate.phi[k]):.0f}°, {_word(estimate.verdict[k])}"
                  for k in range(min(MOST_CURVES, len(estimate.phi)))]
         angle_curves_picture(
@@ -113,9 +114,7 @@ def _rows(observations: Observations, estimate, group: int) -> str:
 
 
 def _word(verdict: int) -> str:
-    from doo_ti.perception.twist import TwistVerdict
-
-    return TwistVerdict(verdict).name.lower().replace("_", " ")
+    return doo_ti.TwistVerdict(verdict).name.lower().replace("_", " ")
 
 
 def _summary(observations: Observations, grid: Grid, estimate, result: dict, out: Path) -> dict:

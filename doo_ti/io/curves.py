@@ -68,10 +68,9 @@ def stacked(path, curves: Sequence[np.ndarray]) -> np.ndarray:
     """(D, V, 3) the points of D curves (V, 3). Raises InputError for curves of different sizes, fewer than three points, and
     points that are not finite or beyond bounds."""
     sizes = [len(points) for points in curves]
-    if len(set(sizes)) > 1:
-        raise InputError(path, "points", f"curves of {min(sizes)} to {max(sizes)} points", "give curves of equally many")
-    if sizes[0] < 3:
-        raise InputError(path, "points", f"{sizes[0]} points in a curve", "give three or more")
+    require(len(set(sizes)) == 1, path, "points", f"curves of {min(sizes)} to {max(sizes)} points",
+            "give curves of equally many")
+    require(sizes[0] >= 3, path, "points", f"{sizes[0]} points in a curve", "give three or more")
     points = np.stack(curves)
     require((np.abs(points) <= LARGEST).all(), path, "points", "not finite", "give finite numbers")
     return points

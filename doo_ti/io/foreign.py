@@ -95,8 +95,7 @@ def _of_composite(path: Path, element, found: dict) -> np.ndarray:
     """(V, 3) m in the coordinates of the element."""
     if element.get("vertex"):
         points = _vector(path, element, "vertex", "", None)
-        if len(points) % 3:
-            raise InputError(path, "vertex", f"{len(points)} numbers", "give three for each point")
+        require(len(points) % 3 == 0, path, "vertex", f"{len(points)} numbers", "give three for each point")
         return points.reshape(-1, 3)
     count = _count(path, element, "0", found)
     size = np.resize(_vector(path, element, "size", "1 0 0", None), 3)

@@ -228,9 +228,8 @@ def _every_frame(path: Path, labels: np.ndarray, positions: np.ndarray) -> tuple
     step = np.gcd.reduce(np.diff(labels))
     place = (labels - labels[0]) // step
     count = int(place[-1]) + 1
-    if count > MOST_LEFT_OUT * len(labels):
-        raise InputError(path, "observation", f"frames {labels[0]} to {labels[-1]}, of which {len(labels)} are there",
-                         "number the frames from one to the next")
+    require(count <= MOST_LEFT_OUT * len(labels), path, "observation", f"frames {labels[0]} to {labels[-1]}, of which "
+            f"{len(labels)} are there", "number the frames from one to the next")
     whole = np.full((count, *positions.shape[1:]), np.nan)
     whole[place] = positions
     return labels[0] + step * np.arange(count), whole

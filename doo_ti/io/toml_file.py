@@ -107,8 +107,8 @@ def _remedy(problem: str, kind) -> str:
 
 
 PACKAGE = Path(__file__).parents[1]
-INSTALLED, SOURCE = PACKAGE / "scenes", PACKAGE.parent / "scenes"
-"""Where they lie in an installed package, and in its source."""
+SCENES = PACKAGE / "scenes" if (PACKAGE / "scenes").is_dir() else PACKAGE.parent / "scenes"
+"""Where those of an installed package lie, or of its source."""
 
 
 def scene_file(name: str) -> str:
@@ -116,9 +116,8 @@ def scene_file(name: str) -> str:
     asked = Path(name)
     if not name or asked.exists() or asked.is_absolute() or ".." in asked.parts:
         return name
-    folder = INSTALLED if INSTALLED.is_dir() else SOURCE
     within = Path(*asked.parts[1:]) if asked.parts[0] == "scenes" and len(asked.parts) > 1 else asked
-    for place in (folder, folder / "motion", folder / "groups"):
+    for place in (SCENES, SCENES / "motion", SCENES / "groups"):
         for file in (place / within, place / within.with_suffix(".toml")):
             if file.is_file():
                 return str(file)
@@ -160,9 +159,8 @@ def stated_material(source, key: str, keys: MaterialKeys, unit_density: float | 
     for name, other in (("bend", "EI"), ("weight", "EI"), ("twist", "EI"), ("GJ", "bend")):
         require(getattr(keys, name) is None or getattr(keys, other) is None, source, f"{key}.{name}", f"given beside {other}",
                 "give bend, twist and weight, or EI and GJ with linear_density")
-    if not physical and keys.bend is None:
-        raise InputError(source, f"{key}.{'EI' if keys.GJ is not None else 'bend'}", "missing",
-                         "give bend, or EI with linear_density")
+    require(physical or keys.bend is not None, source, f"{key}.{'EI' if keys.GJ is not None else 'bend'}", "missing",
+            "give bend, or EI with linear_density")
     if physical and keys.linear_density is None:
         raise InputError(source, f"{key}.linear_density", "missing beside EI", "give the mass per length in g/m")
     bend, twist, names = (keys.EI, keys.GJ, ("EI", "GJ")) if physical else (keys.bend, keys.twist, ("bend", "twist"))

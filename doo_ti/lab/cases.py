@@ -106,7 +106,7 @@ class Specimens:
         """The ribbon's observations under materials with a B of two values, log-uniform, and the ribbon's twist."""
         random = np.random.default_rng(workload.SEED)
         first, second = (workload.log_uniform(random, workload.BEND_RANGE, self.count) for _ in range(2))
-        material = Material.diagonal(first, second, workload.RIBBON_TWIST)
+        material = Material.diagonal(first, second, workload.LAB["ribbon"].twist)
         return workload.paired(*workload.started(*workload.observed("ribbon")), material)
 
     @cached_property

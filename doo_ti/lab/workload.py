@@ -1,7 +1,7 @@
 """What is measured and timed, and by what. Rods: observed starts with their clamps, under materials drawn over a range. Rates,
 on a machine that others use too: each is taken together with that of a fixed NumPy workload, as a ratio.
 
-The observations are those of the shipped scenes, made here, so that nothing but the package is needed.
+The observations are those of the shipped scenes, so that nothing but the package is needed.
 
 Axes: S starts, G materials, D observations, R rods.
 """
@@ -17,7 +17,8 @@ from pathlib import Path
 import numpy as np
 
 from doo_ti import __version__
-from doo_ti.io.scene import Synthesis
+from doo_ti.io.scene import load_scene
+from doo_ti.io.toml_file import SCENES
 from doo_ti.lab.synthesis import synthesise
 from doo_ti.relaxation.descent import Descent
 from doo_ti.relaxation.external import Springs
@@ -27,15 +28,9 @@ from doo_ti.rod.observations import Observations
 from doo_ti.rod.start import observation_clamps, start_configuration
 from doo_ti.rod.types import Clamps, Configuration, Material, Solution
 
-RIBBON_TWIST = 5e5  # mm³, β of the lab's ribbon
-LAB = {
-    "nylon": Synthesis(bend=1.8e6, twist=1.2e6, name="nylon", seed=12),
-    "vicryl": Synthesis(bend=6e5, twist=8e5, name="vicryl", seed=11),
-    "silk": Synthesis(bend=1.5e5, twist=5e4, name="silk", seed=13),
-    "ribbon": Synthesis(bend=((6e6, 0.0), (0.0, 1.2e5)), twist=RIBBON_TWIST, name="ribbon", seed=14, frames=True),
-}
-"""The recipes of ``scenes/*.toml``."""
 SUTURES = ("nylon", "vicryl", "silk")
+LAB = {name: load_scene(SCENES / f"{name}.toml").observations for name in (*SUTURES, "ribbon")}
+"""The recipes of the package's scenes."""
 BEND_RANGE = (5e4, 1e7)  # mm³
 TWIST_RATIO_RANGE = (0.1, 6.0)
 SEED = 0

@@ -29,7 +29,7 @@ import rerun.blueprint as blueprint
 from rerun.experimental import ViewerClient
 
 from doo_ti.report.canvas import GridView, Observed
-from doo_ti.system.errors import InputError, InterruptedRunError
+from doo_ti.system.errors import InterruptedRunError, require
 from doo_ti.system.files import whole_file, write_whole
 from doo_ti.system.terminal import ended, kept_from_children
 
@@ -221,8 +221,7 @@ def running_viewer(path, *options: str, log=subprocess.DEVNULL) -> Iterator[subp
     """The process of the viewer on a recording, as a context that ends it; errors go to the file ``log``. Raises InputError
     where there is no recording."""
     file = Path(path) / FILE if os.path.isdir(path) else Path(path)
-    if not os.path.isfile(file):
-        raise InputError(path, FILE, "there is no recording", "name a folder that doo-ti sweep has written")
+    require(os.path.isfile(file), path, FILE, "there is no recording", "name a folder that doo-ti sweep has written")
     # By default the viewer listens on every network interface.
     command = [_program(), "--bind", "127.0.0.1", *options, str(file)]
     environment = {name: value for name, value in os.environ.items() if name.upper() not in (*ALONE, "NO_PROXY")} | ALONE

@@ -11,6 +11,12 @@ from pathlib import Path
 from typing import Annotated
 
 import numpy as np
+from matplotlib import colormaps
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.colors import LogNorm, Normalize, hsv_to_rgb, to_rgba
+from matplotlib.figure import Figure
+from matplotlib.text import Text
+from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 from doo_ti.rod.observations import Observations
 from doo_ti.system.arguments import short_repr, typed
@@ -59,9 +65,6 @@ MISSING = "#9a9a9a"
 
 def new_figure(inches: tuple[float, float] = PICTURE_INCHES, dpi: int = PICTURE_DPI):
     """An empty figure on a canvas of its own."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
     figure = Figure(figsize=inches, dpi=dpi, layout="constrained", facecolor="white")
     FigureCanvasAgg(figure)
     return figure
@@ -94,8 +97,6 @@ def save_figure(figure, path_or_buffer, title: str = "", size: float = 10) -> No
 
 def fit_titles(figure) -> None:
     """Make titles that fill the figure's width smaller until they fit; this also lays the figure out."""
-    from matplotlib.text import Text
-
     figure.canvas.draw()
     width = figure.bbox.width
     for title in [*figure.texts, *(child for axes in figure.axes for child in axes.get_children() if isinstance(child, Text))]:
@@ -115,8 +116,6 @@ def pixels(figure) -> np.ndarray:
 
 def plain_ticks(axis, is_log: bool, low: float, high: float) -> None:
     """Ticks as plain numbers or powers of ten; at 1, 2 and 5 where a log axis is short."""
-    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
-
     if is_log:
         decades = np.log10(high / low)
         steps = (1,) if decades > 3 else (1, 3) if decades > 1.5 else (1, 2, 5) if decades > 0.5 else range(1, 10)
@@ -157,8 +156,6 @@ def landscape_colors(values: np.ndarray, landscape: np.ndarray) -> np.ndarray:
 def distance_colors(distance: np.ndarray, scale: np.ndarray | None = None) -> np.ndarray:
     """(..., 3) uint8 for rods on a dark ground, from teal, the smallest distance of ``scale``, to yellow, the largest; grey
     where NaN. ``scale`` is by default ``distance`` itself."""
-    from matplotlib.colors import LogNorm, Normalize
-
     norm = norm_of(distance if scale is None else scale)
     # The dark half of the map is invisible on a dark ground: the scale starts below the data.
     if isinstance(norm, LogNorm):
@@ -170,8 +167,6 @@ def distance_colors(distance: np.ndarray, scale: np.ndarray | None = None) -> np
 
 def distinct_colors(count: int) -> np.ndarray:
     """(count, 3) uint8: colours on a dark ground of which no two are the same, none of them the red of failed rods."""
-    from matplotlib.colors import hsv_to_rgb
-
     if count <= len(FEW_COLORS):
         return np.array(FEW_COLORS[:count], dtype=np.uint8)
     place = np.arange(count)
@@ -182,17 +177,12 @@ def distinct_colors(count: int) -> np.ndarray:
 
 def norm_of(values: np.ndarray):
     """The colour scale of distances. A sweep spans decades: on a linear scale the valley would be one colour."""
-    from matplotlib.colors import LogNorm, Normalize
-
     finite = values[np.isfinite(values)]
     low, high = (float(finite.min()), float(finite.max())) if finite.size else (0.0, 1.0)
     return LogNorm(low, high) if 0 < 3 * low < high else Normalize(low, high if high > low else low + 1)
 
 
 def _colors(norm, values: np.ndarray) -> np.ndarray:
-    from matplotlib import colormaps
-    from matplotlib.colors import to_rgba
-
     color_map = colormaps["viridis"].with_extremes(bad=to_rgba(MISSING))
     return color_map(norm(np.ma.masked_invalid(values)), bytes=True)[..., :3]
 

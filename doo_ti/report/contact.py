@@ -8,6 +8,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+from matplotlib import colormaps
+from matplotlib.collections import PolyCollection
 
 from doo_ti.contact.distance_grid import mesh
 from doo_ti.contact.obstacles import PLANE, Obstacle
@@ -111,8 +113,6 @@ class Touched:
     def draw_obstacles(self, plot, row: int, view: np.ndarray, frame: int, given: type, alpha: float = 1.0) -> list:
         """The obstacles around a rod that do not move, :class:`Obstacle`, or those :class:`Moving`, where they are at a frame:
         what was drawn; the plot's limits stay as they are."""
-        from matplotlib.collections import PolyCollection
-
         limits, drawn = plot.axis(), []
         for _, kind, vertices, triangles, _ in self.meshes(row, frame, (given,)):
             color = PLANE_COLOR if kind == PLANE else OBSTACLE
@@ -191,8 +191,6 @@ class GroupMotion:
 def save_group(path: Path, seen: GroupMotion) -> None:
     """Write a picture of the last moment with its ties, obstacles and contact forces, some earlier ones faintly; of a motion
     also the forces of the clamps."""
-    from matplotlib import colormaps
-
     moments, names = len(seen.rods), seen.names
     radii = np.zeros(len(names)) if seen.radii is None else seen.radii
     basis = upright_basis(seen.vertices.reshape(1, -1, 3), seen.up)
@@ -229,8 +227,6 @@ def save_group(path: Path, seen: GroupMotion) -> None:
 
 def _draw_rods(plot, rods: list[np.ndarray], colors: np.ndarray, view: np.ndarray, radii: np.ndarray) -> None:
     """The edges of rods as bands of their thickness, those in front over those behind."""
-    from matplotlib.collections import PolyCollection
-
     bands, depth = [], []
     for rod, radius in zip(rods, radii, strict=True):
         local = rod @ view.T

@@ -6,6 +6,9 @@ curves of Eq. 4 over the twist angle.
 from dataclasses import dataclass
 
 import numpy as np
+from matplotlib.collections import LineCollection, PolyCollection
+from matplotlib.colors import LogNorm
+from matplotlib.lines import Line2D
 
 from doo_ti.report import canvas
 from doo_ti.vision.cameras import Rig
@@ -56,8 +59,6 @@ def reprojections_picture(path_or_buffer, rig: Rig, sets: list[SeenRod], *, up, 
     up        direction against gravity
     left_out  number of sets that are not drawn, for the title
     """
-    from matplotlib.lines import Line2D
-
     columns = len(rig.cameras) + 1
     figure = canvas.new_figure((PANEL_INCHES * columns, 0.82 * PANEL_INCHES * len(sets) + 0.9), dpi=130)
     grid = figure.add_gridspec(len(sets), columns)
@@ -144,9 +145,6 @@ def ribbon_sides(vertices: np.ndarray, across: np.ndarray, width: float) -> np.n
 def ribbons_picture(path_or_buffer, ribbons: list[Ribbons], which: int, *, basis: np.ndarray, title: str) -> None:
     """Write the ribbon ``which`` of each kind as a PNG: a column for each filled kind, the outlined ones in all columns, a row
     for each view. ``basis`` (3, 3) has rows right, into the picture and up."""
-    from matplotlib.collections import LineCollection
-    from matplotlib.lines import Line2D
-
     filled, outlined = ([kind for kind in ribbons if kind.filled == wanted] for wanted in (True, False))
     views = [_turned(*angles) @ basis for angles in VIEWS.values()]
     middles, sizes = _frames(np.stack([kind.sides[which] for kind in ribbons]), views)
@@ -179,8 +177,6 @@ def ribbons_picture(path_or_buffer, ribbons: list[Ribbons], which: int, *, basis
 
 def _draw_band(axes, sides: np.ndarray, color: tuple[int, int, int]) -> None:
     """Faces between borders (2, V, 3), the far ones first, lit from the upper left."""
-    from matplotlib.collections import PolyCollection
-
     low, high = sides
     faces = np.stack([low[:-1], low[1:], high[1:], high[:-1]], axis=1)
     normal = np.cross(faces[:, 2] - faces[:, 0], faces[:, 3] - faces[:, 1])
@@ -222,8 +218,6 @@ def identifiability_picture(path_or_buffer, parameters, strength, rank, end_dist
     rank        (D,) place in the order in which to measure, from 1; 0 where it has none
     end_distance, end_rotation  (D,) mm and degrees, or None
     """
-    from matplotlib.colors import LogNorm
-
     number = np.arange(len(strength))
     labelled = None if end_distance is None or end_rotation is None else canvas.label_table(end_distance, end_rotation)
     columns, column, rows, row = labelled or (number, number, np.zeros(1), 0 * number)

@@ -3,6 +3,9 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
+from matplotlib.colors import LogNorm
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch, Polygon
 
 from doo_ti.report import canvas
 from doo_ti.report import plane as drawing
@@ -65,8 +68,6 @@ def _cell_boxes(axes, plane: LandscapePlane, cells: tuple[np.ndarray, np.ndarray
 
 def draw_landscape(plane: LandscapePlane, title: str, region: np.ndarray | None = None, newton_per_bend: float | None = None):
     """The figure of one landscape, its legend below; other arguments as :func:`landscape_picture` has them."""
-    from matplotlib.patches import Polygon
-
     figure = canvas.new_figure()
     axes = figure.add_subplot()
     _draw(figure, axes, plane, None, 1.0)
@@ -89,8 +90,6 @@ def draw_landscape(plane: LandscapePlane, title: str, region: np.ndarray | None 
 
 def draw_panels(rows: list[list[LandscapePanel]], title: str, marks: str, relative: bool, dpi: int = canvas.PICTURE_DPI):
     """The figure of several landscapes, and its (axes, panel) in reading order."""
-    from matplotlib.colors import LogNorm
-
     panels, columns = [panel for row in rows for panel in row], max(len(row) for row in rows)
     size, width, height = (0.9, 5.4, 4.4) if columns <= 3 else (0.75, 3.2, 3.0)
     figure = canvas.new_figure((max(width * columns, 8.0), height * len(rows) + 1.0), dpi)
@@ -157,8 +156,6 @@ def _multiples(plane: LandscapePlane) -> np.ndarray:
 
 
 def _color_bar(figure, mesh, axes, label: str = canvas.MEAN_DISTANCE, size: float = 1.0, extend: str = "neither") -> None:
-    from matplotlib.colors import LogNorm
-
     bar = figure.colorbar(mesh, ax=axes, pad=0.02, aspect=28, extend=extend)
     bar.set_label(label, fontsize=12 * size)
     bar.ax.tick_params(labelsize=11 * size)
@@ -174,7 +171,7 @@ def _remarks(plane: LandscapePlane) -> list[str]:
 def _put_legend(figure, planes: list[LandscapePlane], columns: int, marks: str | None = None,
                 with_region: bool = False) -> None:
     """The legend below the axes, its entries in rows: matplotlib fills columns first. ``marks`` as in :func:`_legend`."""
-    keys = _legend(planes, marks, with_region) + _regime_keys(planes)
+    keys = _legend(planes, marks, with_region)
     if keys:
         rows = [key for column in range(columns) for key in keys[column::columns]]
         figure.legend(handles=rows, loc="outside lower center", ncols=min(columns, len(keys)), frameon=False, fontsize=10,
@@ -182,11 +179,9 @@ def _put_legend(figure, planes: list[LandscapePlane], columns: int, marks: str |
 
 
 def _legend(planes: list[LandscapePlane], marks: str | None, with_region: bool) -> list:
-    """Entries for the minimum, the valley, marks, cells that do not compete or have no value, and the region. ``marks`` says
-    what the panels' marks are, empty where there are none; None: of one landscape, with its numbers."""
-    from matplotlib.lines import Line2D
-    from matplotlib.patches import Patch
-
+    """Entries for the minimum, the valley, marks, cells that do not compete or have no value, the region, and the regimes of a
+    ribbon with the lines between them. ``marks`` says what the panels' marks are, empty where there are none; None: of one
+    landscape, with its numbers."""
     line, keys = all(len(plane.axes) == 1 for plane in planes), []
     if any(plane.minimum is not None for plane in planes):
         at = cells = ""
@@ -209,23 +204,13 @@ def _legend(planes: list[LandscapePlane], marks: str | None, with_region: bool) 
     if with_region:
         keys.append(Line2D([], [], color=drawing.REGION, linewidth=2.2, linestyle="--", path_effects=drawing.edged(),
                            label="confidence region"))
+    if twists := sorted({plane.twist for plane in planes if plane.twist is not None}):
+        label = f"B₁₁ = B₂₂, B₁₁ = β and B₂₂ = β, β = {', '.join(canvas.quantity(twist, 'mm³') for twist in twists)}"
+        keys.append(Line2D([], [], color=drawing.BORDER, linewidth=1.4, linestyle=(0, (5, 3)), label=label))
+        keys += [_point(regime, marker=f"${number}$", markersize=9, color=drawing.BORDER)
+                 for number, regime in enumerate(drawing.REGIMES, 1)]
     return keys
 
 
-def _regime_keys(planes: list[LandscapePlane]) -> list:
-    """Entries for the regimes of a ribbon and the lines between them, where there are any."""
-    from matplotlib.lines import Line2D
-
-    twists = sorted({plane.twist for plane in planes if plane.twist is not None})
-    if not twists:
-        return []
-    label = f"B₁₁ = B₂₂, B₁₁ = β and B₂₂ = β, β = {', '.join(canvas.quantity(twist, 'mm³') for twist in twists)}"
-    return [Line2D([], [], color=drawing.BORDER, linewidth=1.4, linestyle=(0, (5, 3)), label=label),
-            *(_point(regime, marker=f"${number}$", markersize=9, color=drawing.BORDER)
-              for number, regime in enumerate(drawing.REGIMES, 1))]
-
-
 def _point(label: str, **style):
-    from matplotlib.lines import Line2D
-
     return Line2D([], [], linestyle="", label=label, **style)

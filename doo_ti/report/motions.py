@@ -8,6 +8,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from matplotlib import colormaps
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import Normalize
+from PIL import Image
 
 from doo_ti.contact.obstacles import Obstacle
 from doo_ti.contact.surroundings import Moving
@@ -134,8 +138,6 @@ def save_animation(path: Path, name: str, names: list[str], positions: np.ndarra
                    up: np.ndarray, touched: Touched | None = None) -> None:
     """A GIF or WebP of some of the (R, T, V, 3) rods moving side by side, in real time where that is not too long; with the
     obstacles and the contact forces of the moment where rods have ``touched`` any."""
-    from PIL import Image
-
     rows = chosen(positions, recorded, ANIMATED)
     axes, _ = _view(positions[rows], up)
     every = max(1, round(rate / FRAMES_PER_SECOND), -(-positions.shape[1] // MOST_FRAMES))
@@ -250,10 +252,6 @@ class MovingRods:
 def motions_picture(path_or_buffer, rods: MovingRods, *, title: str) -> None:
     """Write the motions as a PNG, at most the first ``MOST_DRAWN``, ``COLUMNS`` beside each other: each from the front and
     below that from above. Early moments are dark; the shapes before a jump, dashed, and after it are thick and red."""
-    from matplotlib import colormaps
-    from matplotlib.cm import ScalarMappable
-    from matplotlib.colors import Normalize
-
     shown, time = min(len(rods.names), MOST_DRAWN), rods.time
     scale = ScalarMappable(Normalize(time[0], time[-1]), colormaps["viridis"])
     vertices, jumps = rods.vertices[:, :shown], rods.jumps[:, :shown]

@@ -9,6 +9,8 @@ from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
+from matplotlib.collections import LineCollection, PolyCollection
+from matplotlib.patheffects import Normal, Stroke
 from numpy.typing import ArrayLike
 
 from doo_ti.report.canvas import MEAN_DISTANCE, MISSING, axis_label, literal, plain_ticks, quantity
@@ -185,8 +187,6 @@ def draw_map(axes, plane: LandscapePlane, norm, size: float = 1.0):
     """Cells in colour, valley outlined, uncertified cells hatched, lines between the regimes of a ribbon; returns the coloured
     mesh. ``size`` scales text and marks: 1 in a picture of its own.
     """
-    from matplotlib.collections import LineCollection, PolyCollection
-
     first, second = plane.axes
     drawn, (x, y) = plane.blocks()
     axes.set_facecolor(MISSING)
@@ -247,9 +247,7 @@ def place_of(plane: LandscapePlane, cell: tuple[int, int]) -> tuple[float, float
 
 def draw_marks(axes, plane: LandscapePlane, marks, size: float = 1.0) -> None:
     """Circles on further cells, (text, cell) each; texts are in a column on the side with more room, a line leads to each."""
-    from matplotlib.patheffects import Normal, Stroke
-
-    rim = [Stroke(linewidth=2.8 * size, foreground="#202020"), Normal()]
+    rim = edged(2.8 * size)
     texts: dict[tuple, list[str]] = {}
     for text, cell in marks:
         texts.setdefault(tuple(int(k) for k in cell), []).append(text)
@@ -277,17 +275,13 @@ def label_minimum(axes, plane: LandscapePlane) -> None:
         arrowprops={"arrowstyle": "-", "color": STAR, "linewidth": 1.6, "shrinkB": 8})
 
 
-def edged() -> list:
+def edged(width: float = 3.8) -> list:
     """A dark rim that makes a light line visible on any background."""
-    from matplotlib.patheffects import Normal, Stroke
-
-    return [Stroke(linewidth=3.8, foreground="#202020"), Normal()]
+    return [Stroke(linewidth=width, foreground="#202020"), Normal()]
 
 
 def _draw_regimes(axes, plane: LandscapePlane, size: float) -> None:
     """B₁₁ = B₂₂, B₁₁ = β and B₂₂ = β, and the regimes' numbers in the middle of their cells (Fig. 5)."""
-    from matplotlib.patheffects import withStroke
-
     style = {"color": BORDER, "linewidth": 1.4 * size, "linestyle": (0, (5, 3))}
     axes.axline((1, 1), (2, 2), **style)
     axes.axvline(plane.twist, **style)
@@ -299,7 +293,7 @@ def _draw_regimes(axes, plane: LandscapePlane, size: float) -> None:
         if len(a):
             middle = np.exp(np.log(first[a]).mean()), np.exp(np.log(second[b]).mean())
             axes.text(*middle, str(number), fontsize=20 * size, fontweight="bold", color="white", ha="center", va="center",
-                      path_effects=[withStroke(linewidth=3 * size, foreground="#202020")], clip_on=True)
+                      path_effects=edged(3 * size), clip_on=True)
 
 
 def _stretches(mask: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -16,7 +16,7 @@ from pathlib import Path
 from secrets import token_hex
 from typing import BinaryIO
 
-from doo_ti.system.errors import InputError
+from doo_ti.system.errors import InputError, require
 
 try:
     from fcntl import LOCK_EX, LOCK_NB, flock
@@ -37,10 +37,8 @@ def read_content(path: Path, most: int = MOST_BYTES, remedy: str = "name a reada
             return Path(path).read_bytes()
     except (OSError, ValueError) as error:  # ValueError: a name that holds a null byte
         raise InputError(path, "file", (getattr(error, "strerror", None) or str(error)).lower(), remedy) from None
-    if stat.S_ISDIR(found.st_mode):
-        raise InputError(path, "file", "is a folder", remedy)
-    if not stat.S_ISREG(found.st_mode):
-        raise InputError(path, "file", "is a device or a pipe, not a file", remedy)
+    require(not stat.S_ISDIR(found.st_mode), path, "file", "is a folder", remedy)
+    require(stat.S_ISREG(found.st_mode), path, "file", "is a device or a pipe, not a file", remedy)
     raise InputError(path, "file", f"{found.st_size:,} bytes", f"give a file of at most {most:,}")
 
 

@@ -17,7 +17,7 @@ from threading import RLock, get_ident
 from typing import Any, ParamSpec, TypeVar
 
 from doo_ti.system import taichi_internals
-from doo_ti.system.errors import InputError
+from doo_ti.system.errors import require
 from doo_ti.system.taichi_internals import TAICHI_NAMES, kernel_folder
 from doo_ti.system.terminal import compiling
 
@@ -103,18 +103,17 @@ def check_architecture() -> str:
     """The architecture to run on, of the environment. Raises InputError where it is unknown, where Taichi's own variable would
     have another one run, and where this machine does not have it."""
     architecture = os.environ.get("DOO_TI_ARCHITECTURE", "cpu")
-    if architecture not in TAICHI_NAMES:
-        raise InputError("environment", "DOO_TI_ARCHITECTURE", f"{architecture!r} is unknown", "give cpu or cuda")
+    require(architecture in TAICHI_NAMES, "environment", "DOO_TI_ARCHITECTURE", f"{architecture!r} is unknown",
+            "give cpu or cuda")
     instead = os.environ.get("TI_ARCH")
-    if instead is not None and instead not in TAICHI_NAMES[architecture]:
-        raise InputError("environment", "TI_ARCH", f"{instead!r} would run instead of {architecture}",
-                         "unset it; DOO_TI_ARCHITECTURE, cpu or cuda, says where to run")
+    require(instead in (None, *TAICHI_NAMES[architecture]), "environment", "TI_ARCH", f"{instead!r} would run instead of "
+            f"{architecture}", "unset it; DOO_TI_ARCHITECTURE, cpu or cuda, says where to run")
     if architecture == "cuda":
         import taichi as ti
 
         ti.set_logging_level(ti.ERROR)  # it would say itself that it finds no driver
-        if not ti.lang.misc.is_arch_supported(ti.cuda):
-            raise InputError("environment", "DOO_TI_ARCHITECTURE", "no CUDA device can be used", "unset it to run on the CPU")
+        require(ti.lang.misc.is_arch_supported(ti.cuda), "environment", "DOO_TI_ARCHITECTURE", "no CUDA device can be used",
+                "unset it to run on the CPU")
     return architecture
 
 
@@ -209,9 +208,8 @@ def compiled_briefly(kernel: Callable[_Arguments, None]) -> Callable[_Arguments,
 
 def _refuse_forked() -> None:
     """Raise InputError in a process that would wait for its parent's threads for ever."""
-    if _forked:
-        raise InputError("process", "fork", "forked from a process that had used the kernels, which do not work in a copy",
-                         "start processes by spawn or forkserver, or fork before the first use")
+    require(not _forked, "process", "fork", "forked from a process that had used the kernels, which do not work in a copy",
+            "start processes by spawn or forkserver, or fork before the first use")
 
 
 def _settings(architecture: str) -> dict[str, Any]:

@@ -39,7 +39,7 @@ from threading import current_thread, main_thread
 from types import SimpleNamespace
 from typing import Any
 
-from doo_ti.system.errors import InputError
+from doo_ti.system.errors import InputError, require
 from doo_ti.system.files import write_whole
 
 TAICHI_NAMES = {"cpu": ("x64", "arm64"), "cuda": ("cuda",)}  # architectures, and Taichi's names for them
@@ -87,9 +87,8 @@ def require_ready() -> None:
                          ) from None
     if state.materialized and (root.finalized or root.empty):
         return
-    if current_thread() is not main_thread():
-        raise InputError("Taichi", "thread", "only the one that called ti.init can make its fields ready",
-                         "call ti.sync() there before this call")
+    require(current_thread() is main_thread(), "Taichi", "thread", "only the one that called ti.init can make its fields ready",
+            "call ti.sync() there before this call")
     state.materialize()
 
 

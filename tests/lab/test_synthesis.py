@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from doo_ti import Clamp, Clamps, InterruptedRunError, Material, relax
-from doo_ti.io.scene import Synthesis, load_scene
+from doo_ti.io.scene import Synthesis
 from doo_ti.lab import cases as timed
 from doo_ti.lab import synthesis as lab
 from doo_ti.lab import workload
@@ -16,7 +16,6 @@ from doo_ti.lab.synthesis import ClipErrors, fine_vertices, synthesise
 from doo_ti.relaxation import batch
 from doo_ti.rod.frames import quaternion_from_matrix
 from tests.io.rods import joint_twist
-from tests.processes import ROOT
 from tests.references.rods import chain, clamps_at
 
 DISTANCES, ROTATIONS = (42.0, 66.0, 84.0), (0.0, 90.0, 180.0, 270.0)
@@ -241,8 +240,3 @@ def test_trips_are_counted_by_launch(monkeypatch, specimens):
 def test_busy_lanes():
     case = Case("made up", "rods/s", lambda: Outcome(3.0, iterations=np.array([20, 40, 90]), trips=200))
     assert measure(case, workload.Reference(1), 1).busy == 150 / 200
-
-
-@pytest.mark.parametrize("name", workload.LAB)
-def test_the_rods_are_those_of_the_shipped_scenes(name):
-    assert replace(load_scene(ROOT / "scenes" / f"{name}.toml").observations, source="synthesis") == workload.LAB[name]
