@@ -183,11 +183,6 @@ def _task(options: Namespace, source: str) -> Task:
         observations = replace(observations, spacing_error=options.spacing_error)
     loads = None if options.mass is None else _loads(options.mass, observations, density)
     kinds = given.clamps(options, kinds)
-    curvature = options.rest_curvature
-    for name, own in OLD_CURVATURES.items():
-        if name in names:
-            names.remove(name)
-            curvature = curvature or own
     exact = "exact" in (options.clamps, options.frames)
     every, observations = observations.labels, loading.with_ends_in_reach(observations, *kinds, exact)
     loads = None if loads is None else loads[np.isin(every, observations.labels)]
@@ -252,6 +247,11 @@ def _of_run(options: Namespace, run: Path):
 def _refinement_options(options: Namespace, **of_source) -> "doo_ti.RefinementOptions":
     """What the options say, and the fields that are ``of_source``."""
     names = [name.strip().replace("-", "_") for name in options.parameters.split(",") if name.strip()]
+    curvature = options.rest_curvature
+    for name, own in OLD_CURVATURES.items():
+        if name in names:
+            names.remove(name)
+            curvature = curvature or own
     exact = "exact" in (options.clamps, options.frames)
     return doo_ti.RefinementOptions(
         tuple(names), options.clip, curvature or "auto", options.stiffness, "exact" if exact else "loose",
