@@ -216,8 +216,8 @@ def _adequacy_lines(summary: dict) -> list[str]:
         ("noise", f"{summary['sigma_mm']:.3g} mm per coordinate ({source})"), ("residuals", summary["converged"] and left),
         *(("try", f"{one['option']} ({one['meaning']}: twice the log evidence rises by {one['gain']:.3g})")
           for one in summary["advice"][:2]),
-        ("try", helpless and f"nothing that refine can learn explains it: check the misfits, --up, --sigma{turns}, and how the "
-                             "marks were made"))
+        ("try", helpless and "nothing that refine can learn besides explains it alone: state less (--clip, --frames, "
+                             f"--spacing-error), check the misfits, --up, --sigma{turns}, and how the marks were made"))
 
 
 def _rods_lines(summary: dict) -> list[str]:

@@ -217,8 +217,8 @@ def mesh_summary(rods: Configuration, material: Material, clamps: Clamps, up: np
 def mesh_rows(summary: dict) -> list[tuple[str, str | None]]:
     """:func:`mesh_summary` as text, for :func:`rows`; nothing of what is unknown, nor of clamps that hold no edge."""
     return [(label, summary.get(f"largest_{name}_mm", np.nan) > 0 and
-             f"{text} {summary[f'median_{name}_mm']:.2g} mm elsewhere (root mean square), at most "
-             f"{summary[f'largest_{name}_mm']:.2g} mm{remedy}")
+             f"{text} {summary[f'median_{name}_mm']:.2g} mm elsewhere (root mean square), the "
+             f"worst {summary[f'largest_{name}_mm']:.2g} mm{remedy}")
             for label, name, text, remedy in (
                 ("mesh error", "mesh_error", "rods of many edges rest about", ""),
                 ("clamps", "clamp_error", "hold half of each outer edge; if they end at the outer marks, rods rest about",

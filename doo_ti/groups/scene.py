@@ -28,7 +28,7 @@ from doo_ti.rod.frames import unit_direction
 from doo_ti.rod.material import STANDARD_GRAVITY
 from doo_ti.rod.shapes import rod_along, with_end_edges
 from doo_ti.rod.types import LARGEST, POSES, Clamp, Clamps, Configuration, Material
-from doo_ti.system.errors import InputError
+from doo_ti.system.errors import InputError, require
 from doo_ti.system.terminal import in_line
 
 MOST_MOMENTS, MOST_EDGES, MOST_POINTS = 100_000, 1000, 10_000
@@ -119,6 +119,8 @@ def load_group_scene(path: str | Path) -> GroupScene:
     for name, table in file.rods.items():
         key = f"rods.{name}"
         rod = checked(path, key, table, _Rod)
+        require(len(time) > 1 or len(rod.moments) < 2, path, "rate_hz", f"missing beside {key}.moments",
+                "give it and duration_s")
         start = _start(path, key, rod)
         start = with_end_edges(start) if rod.vertex_clamps else start
         if rod.material is None and len(found) > 1:
