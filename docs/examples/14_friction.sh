@@ -9,14 +9,15 @@ point = [0, 0, 0]
 normal = [0, 0, 1]
 END
 
-# Recordings to learn from: a rope of 0.5 m, dragged in curves, with 0.3 mm of noise at all markers.
+# Recordings to learn from: a rope of 0.5 m, dragged in curves, with 0.1 mm of noise at all markers,
+# two of which are on the gripper.
 drag() {  # a number, a first place and a second one
     { cat <<END
 rate_hz = 100
 duration_s = 2.0
 [rod]
 length_mm = 500.0
-edges = 14
+edges = 56
 radius_mm = 4.0
 position_mm = [0, 0, 12]
 at_rest = true
@@ -40,8 +41,8 @@ END
 import sys
 import numpy as np
 with np.load("made.npz") as made:
-    positions = made["positions_mm"]  # (1, T, V, 3)
-noise = np.random.default_rng(int(sys.argv[1])).normal(0.0, 0.3, positions.shape)
+    positions = made["positions_mm"][:, :, [0, 1, *range(4, 57, 4)]]  # (1, T, 16 markers, 3)
+noise = np.random.default_rng(int(sys.argv[1])).normal(0.0, 0.1, positions.shape)
 np.savez(f"dragged_{sys.argv[1]}.npz", positions_mm=positions + noise, rate_hz=100.0)
 END
 }

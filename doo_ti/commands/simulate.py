@@ -139,7 +139,7 @@ def _recorded(options: Namespace, out: Path, changes: dict, up: np.ndarray) -> _
     return _Simulated(Path(options.source).stem, list(motion.names), positions, status, motion.rate, theta.up,
                       motion.positions, tuple(motion.glitches()), motion.alone, energies, found.substeps,
                       None if stepping.tolerance is None else found.error, stepping.tolerance, surroundings,
-                      _contact(surroundings, positions, *contact) if surroundings else {},
+                      _contact(surroundings, found.positions, *contact) if surroundings else {},
                       given.newtons(options, np.full(motion.count, 1.0 - theta.marker_share)), found.end_force)
 
 

@@ -161,25 +161,31 @@ class Rollouts:
     def predicted(self, thetas: Sequence[MotionTheta]) -> tuple[np.ndarray, np.ndarray]:
         """((R, G, T, V, 3) positions of the recordings under each Θ, (R, G, T) status): frames 0 and 1 and the grippers'
         vertices as given, the rest predicted; NaN where a rod failed."""
-        at_once = max(1, NUMBERS_AT_ONCE // self.motion.positions.size)
+        vertices = self.layout.start.configuration.edges + 1
+        at_once = max(1, NUMBERS_AT_ONCE * len(self.marks) // (self.motion.positions.size * vertices))
         parts = [self._shown(self._rolled_out(some), len(some))
                  for some in (thetas[k : k + at_once] for k in range(0, len(thetas), at_once))]
         return tuple(np.concatenate(arrays, axis=1) for arrays in zip(*parts, strict=True))
 
     def simulated(self, theta: MotionTheta, progress=None) -> tuple[np.ndarray, np.ndarray, dict[str, np.ndarray], Trajectory]:
         """(positions (R, T, V, 3), status (R, T), energies (R, T) by name, the simulation itself) under one Θ, as
-        :meth:`predicted`. Energies are NaN in frame 0: the simulation begins at frame 1. Contact forces (R, T, V, 3),
-        :class:`.Touch` (R, T, V) and work of friction (R, T) in the simulation are those at the recordings' frames, and zero in
-        frames 0 and 1; ``end_force`` (R, T − 2, 3) has no values there."""
+        :meth:`predicted`. Energies are NaN in frame 0: the simulation begins at frame 1. Contact forces (R, T, V, 3) and
+        :class:`.Touch` (R, T, V) in the simulation, of each marker and the vertices nearest to it, and work of friction (R, T)
+        are those at the recordings' frames, and zero in frames 0 and 1; ``end_force`` (R, T − 2, 3) has no values there, and
+        ``positions`` (R, T, −, 3) of all vertices are those of the start there."""
         found = replace(self, stepping=replace(self.stepping, detailed=True))._rolled_out([theta], progress=progress)
         positions, status = (value[:, 0] for value in self._shown(found, 1))
         rods = np.arange(self.motion.count)[:, None]
         energies = {name: np.concatenate([np.full((self.motion.count, 1), np.nan), value[rods, self.layout.steps]], axis=1)
                     for name, value in ({} if found.detail is None else found.detail.energies).items()}
-        found = replace(found, end_force=found.end_force[rods, self._at])
+        start = self.layout.start.configuration.vertices[:, None]
+        found = replace(found, end_force=found.end_force[rods, self._at],
+                        positions=np.concatenate([start, start, found.positions[rods, self._at]], axis=1))
         if self.surroundings:
-            for name in ("contact_force", "friction_work", "touch"):
+            first = np.insert((self.marks[1:] + self.marks[:-1] + 1) // 2, 0, 0)  # vertex of each marker's
+            for name, joined in (("contact_force", np.add), ("touch", np.maximum), ("friction_work", None)):
                 value = getattr(found, name)[rods, self._at]
+                value = value if joined is None else joined.reduceat(value, first, axis=2)
                 found = replace(found, **{name: np.concatenate([np.zeros_like(value[:, :1])] * 2 + [value], axis=1)})
         return positions, status, energies, found
 

@@ -125,6 +125,7 @@ def test_simulate_takes_the_table_and_the_friction_of_theta(motion, tmp_path):
         found = made(["simulate", tmp_path / "dragged.npz", "--theta", written(tmp_path / "theta.json", friction),
                       "--out", tmp_path / "f.npz", "--obstacles", tmp_path / "table.toml", "--radius", RADIUS])
         errors.append(found["error_mm"].mean())
+        assert found["contact_force"].shape == found["positions_mm"].shape
     assert errors[0] < 0.1 < errors[1] < errors[2]
 
 
