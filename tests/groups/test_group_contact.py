@@ -204,7 +204,7 @@ def test_a_heavy_end_stays_on_its_side_of_a_peg(friction):
 @pytest.mark.parametrize("clamp", [Clamp.POSITION, Clamp.FRAME])
 def test_ropes_that_are_tied_and_touch_come_to_rest(clamp):
     """Of random groups, whose points to tie are 70 mm apart at first, nearly all."""
-    group = drawn(np.random.default_rng(3), 60, clamp, tied=True)
+    group = drawn(np.random.default_rng(3), 30, clamp, tied=True)
     solution = relax_group(group, radius=RADIUS)
     sound = solution.status != Status.INFEASIBLE
-    assert sound.sum() > 50 and solution.stable[sound].mean() > 0.93
+    assert sound.sum() > 25 and solution.stable[sound].mean() > 0.93
