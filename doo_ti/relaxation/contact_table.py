@@ -129,6 +129,7 @@ BENDING_LOADS, LOOP_LOADS = 20.0, 200.0
 """The forces to expect are the weight of an edge and so many B/L²; more where rods touch themselves, which are bent to loops.
 With 20 there, too, loops are pressed so far into each other that a knot slips over an end of its rod."""
 SOFT = 0.1  # of a radius: at first κ gives way by that under such a force
+FAINT = 1e-3  # of such a force: friction of a rod whose forces are all smaller is as exact as one of that
 PRESSED_IN = 0.3
 """Of a radius: the most by which κ gives way under the largest force at the end of a round, so that forces end where contact
 does. In a step, which is as large as its share of each gap plus that (:meth:`.ContactRounds.approach`): at a closed gap 0.6
