@@ -140,9 +140,12 @@ class ContactRounds(ContactEnergy):
         choose(rod.contacts, due, largest=found.largest, change=change)
         choose(rod.contacts, slow, stiffness=STIFFER * stiffness)
         self.tighten(rod, due)
-        # Forces along a capstan change one after the other: in the final rounds, all that slips together may hardly do so.
+        # Forces along a capstan change one after the other: in the final rounds, all that slips together may hardly do so,
+        # but for turns to and fro, which further rounds need not end.
         within = ti.max(found.slipping / (SOFT * rod.contacts.radius), FAINT * rod.contacts.first_stiffness)
-        slipped = ti.select(self.is_fine(rod), absolute(found.slipped) / within, zero)
+        turns = found.slipped * rod.contacts.slipped < 0.0 - SLOW * rod.contacts.slipped ** 2
+        slipped = ti.select(self.is_fine(rod) & ~turns, absolute(found.slipped) / within, zero)
+        choose(rod.contacts, due, slipped=found.slipped)
         return largest_of(change, ti.select(due, ti.max(found.rubbed / stiffness, slipped), zero))
 
     def jammed(self, rod):
