@@ -4,7 +4,7 @@ import taichi as ti
 
 from doo_ti.physics.algebra import absolute, largest_of
 from doo_ti.physics.number import device_functions
-from doo_ti.physics.tuples import add, choose, chosen, dot, minus, plus, record, repeated, scaled, variable
+from doo_ti.physics.tuples import add, choose, dot, minus, plus, record, repeated, scaled, variable
 from doo_ti.relaxation.contact_energy import ContactEnergy
 from doo_ti.relaxation.contact_table import FAINT, FINE, MOST_TRIES, PRESSED_IN, ROUGH, ROUGHER, SLOW, SOFT, STIFFER, STIFFEST
 

@@ -27,8 +27,8 @@ tolerance, change, phase         of gaps; by how much the last round changed one
 reach                            how close to an obstacle a vertex is where more than its φ counts
 work, retried                    of friction since the motion began; one where a step is tried for the second time
 way_made, way                    of the clamps' way to the next instant, what is made and what is made at once
-multiplier, largest, slipped     of closure at the last instant; the largest force; by how much the last round changed all friction
-                                 of what slips
+multiplier, largest, slipped     of closure at the last instant; the largest force; by how much the last round changed the sum
+                                 of all friction that slips
 viscosity, first_viscosity, eased  of a step that viscosity helps along: now, at first, and how many such steps there were"""
 SUMS = Layout(energy=1, magnitude=1, penalty=1, crossing=1, least_phi=1, least_gap=1, force_change=1, sums=("energy", 7))
 """Kept here because a loop over obstacles has no registers for them.
