@@ -149,9 +149,12 @@ class GroupContacts(ties.Ties, SelfContacts):
     # --- into scratch and out of it ---
 
     def load(self, tables, slot, rod, unit, scale):
-        """As the obstacles and contacts of one rod, and the group's own numbers."""
-        SelfContacts.load(self, tables, slot, rod, unit, scale)
-        one, row = self.of_lane(tables, slot), tables.rods[rod, of.RESULT_ROW]
+        """As the obstacles and contacts of one rod, of the softest of the group, and the group's own numbers."""
+        one, row, material = self.of_lane(tables, slot), tables.rods[rod, of.RESULT_ROW], tables.rods[rod, of.MATERIAL_ROW]
+        divisor = stiffness_scale(tables.material, tables.clamp, material, tables.rods[rod, of.CLAMP_ROW])
+        # No contact bears more than what the softer of its rods does.
+        softest = extended(scale, bend=tables.material[material, of.SOFTEST] / divisor)
+        SelfContacts.load(self, tables, slot, rod, unit, softest)
         head = self.group(one)
         if tables.touching == 0:
             one.contacts.phase = FINE
@@ -163,8 +166,6 @@ class GroupContacts(ties.Ties, SelfContacts):
             self.numbered_pair(one, number).may_touch = ti.cast(tables.apart[own, number], ti.f64)
         stiffness = ties.STIFFNESS_OF_TIES / (scale.total * scale.total * scale.total)
         head.stiffness, head.work, head.unit = stiffness, 0.0, unit
-        divisor = stiffness_scale(tables.material, tables.clamp, tables.rods[rod, of.MATERIAL_ROW],
-                                  tables.rods[rod, of.CLAMP_ROW])
         force_unit = divisor / (unit * unit)
         for e in range(one.edges):
             edge = self.edge(one, e)

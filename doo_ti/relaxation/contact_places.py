@@ -290,7 +290,7 @@ class ContactPlaces:
 
     def rubbed(self, rod, limit, friction, gradient, u, stiffness):
         """Friction of a contact that has moved by ``u``, at most ``limit`` = μ λ, with that penalty ``stiffness``: its energy,
-        its derivative and its stiffness."""
+        its derivative and its stiffness, and the limit where it slips."""
         normal = self.distance.unit(gradient)
         whole = plus(friction, scaled(u, stiffness))
         z = minus(whole, scaled(normal, dot(normal, whole)))
@@ -300,4 +300,5 @@ class ContactPlaces:
         energy = ti.select(slips, limit * (size - 0.5 * limit), 0.5 * size * size) / stiffness
         across = scaled(plus(outer(normal), scaled(outer(z), ti.select(slips, 1.0 / (size * size), 0.0 * size))), 0.0 - 1.0)
         flat = (1.0 + across[0], across[1], across[2], 1.0 + across[3], across[4], 1.0 + across[5])
-        return record(energy=energy, pull=scaled(z, share), stiffness=scaled(flat, stiffness * share))
+        return record(energy=energy, pull=scaled(z, share), stiffness=scaled(flat, stiffness * share),
+                      slips=ti.select(slips, limit, 0.0 * limit))

@@ -4,9 +4,9 @@ import taichi as ti
 
 from doo_ti.physics.algebra import absolute, largest_of
 from doo_ti.physics.number import device_functions
-from doo_ti.physics.tuples import add, choose, chosen, dot, minus, plus, record, repeated, scaled, variable
+from doo_ti.physics.tuples import add, choose, dot, minus, plus, record, repeated, scaled, variable
 from doo_ti.relaxation.contact_energy import ContactEnergy
-from doo_ti.relaxation.contact_table import FINE, MOST_TRIES, PRESSED_IN, ROUGH, ROUGHER, SLOW, STIFFER, STIFFEST
+from doo_ti.relaxation.contact_table import FAINT, FINE, MOST_TRIES, PRESSED_IN, ROUGH, ROUGHER, SLOW, SOFT, STIFFER, STIFFEST
 
 
 @device_functions
@@ -116,7 +116,7 @@ class ContactRounds(ContactEnergy):
         """End a round in the lanes that are ``due`` with new forces. Returns the largest change of a gap that they mean."""
         zero = 0.0 * rod.total
         stiffness = rod.contacts.stiffness
-        found = record(change=zero, largest=zero, rubbed=zero)
+        found = record(change=zero, largest=zero, rubbed=zero, slipping=zero, slipped=zero)
         for v in range(rod.edges + 1):
             at = self.vertex(rod, v)
             for o in range(rod.obstacles):
@@ -130,7 +130,7 @@ class ContactRounds(ContactEnergy):
                     choose(contact, due, force_between=zero, kept_between=zero)
                     contact.sagging = zero
                 if ti.static(self.rub):
-                    found.rubbed = largest_of(found.rubbed, self.update_friction(rod, v, o, due))
+                    self.update_friction(rod, v, o, due, found)
         if ti.static(self.itself):
             self.update_pairs(rod, due, found)
         change = ti.select(due, found.change / stiffness, zero)
@@ -140,7 +140,13 @@ class ContactRounds(ContactEnergy):
         choose(rod.contacts, due, largest=found.largest, change=change)
         choose(rod.contacts, slow, stiffness=STIFFER * stiffness)
         self.tighten(rod, due)
-        return largest_of(change, ti.select(due, found.rubbed / stiffness, zero))
+        # Forces along a capstan change one after the other: in the final rounds, all that slips together may hardly do so,
+        # but for turns to and fro, which further rounds need not end.
+        within = ti.max(found.slipping / (SOFT * rod.contacts.radius), FAINT * rod.contacts.first_stiffness)
+        turns = found.slipped * rod.contacts.slipped < 0.0 - SLOW * rod.contacts.slipped ** 2
+        slipped = ti.select(self.is_fine(rod) & ~turns, absolute(found.slipped) / within, zero)
+        choose(rod.contacts, due, slipped=found.slipped)
+        return largest_of(change, ti.select(due, ti.max(found.rubbed / stiffness, slipped), zero))
 
     def jammed(self, rod):
         """The lanes in which forces have grown beyond all bounds: no place that the rod can get to is outside the obstacles."""
@@ -215,29 +221,31 @@ class ContactRounds(ContactEnergy):
         contact.kept_between = ti.select(due, ti.select(sags, zero + 1.0, zero), kept)
         return ti.select(sags, force, zero), begun
 
-    def update_friction(self, rod, index, o, due):
-        """New friction on a vertex and on the edge that ends there, under the new forces: by how much it changes."""
+    def update_friction(self, rod, index, o, due, found):
+        """New friction on a vertex and on the edge that ends there, under the new forces."""
         zero = 0.0 * rod.total
         at = self.vertex(rod, index)
         contact = self.contact(at, o)
-        change = zero
         close = self.close_lanes(rod, contact.value)
         if self.some(close | (contact.force > 0.0), zero):
-            change = self.keep_friction(contact.of("friction"), self.rubbed_vertex(rod, o, at, contact).pull, due)
+            self.keep_friction(contact.of("friction"), self.rubbed_vertex(rod, o, at, contact), due, found)
             choose(contact, due & close, rubbed_normal=contact.normal)
         else:
-            change = self.keep_friction(contact.of("friction"), repeated(zero, 3), due)
+            choose(contact, due, friction=repeated(zero, 3))
         kept = contact.kept_between > 0.5
         if index > 0 and self.some(kept, zero):
-            pull = chosen(kept, self.rubbed_between(rod, o, index, contact).pull, repeated(zero, 3))
-            change = largest_of(change, self.keep_friction(contact.of("friction_between"), pull, due))
+            rubbed = self.rubbed_between(rod, o, index, contact)
+            choose(rubbed, ~kept, pull=repeated(zero, 3), slips=zero)
+            self.keep_friction(contact.of("friction_between"), rubbed, due, found)
             choose(contact, due & kept, rubbed_normal_between=contact.normal_between, rubbed_place=contact.place_between)
         else:
-            self.keep_friction(contact.of("friction_between"), repeated(zero, 3), due)
-        return change
+            choose(contact, due, friction_between=repeated(zero, 3))
 
-    def keep_friction(self, friction, pull, due):
-        """Store a ``friction`` in the lanes that are ``due``: by how much it changes."""
-        change = minus(pull, friction.value)
-        choose(friction, due, value=pull)
-        return ti.sqrt(dot(change, change))
+    def keep_friction(self, friction, rubbed, due, found):
+        """Store a ``friction`` in the lanes that are ``due``: its change to ``found`` and, where it ``slips``, its size."""
+        old = friction.value
+        change = minus(rubbed.pull, old)
+        found.rubbed = largest_of(found.rubbed, ti.sqrt(dot(change, change)))
+        found.slipping = found.slipping + rubbed.slips
+        found.slipped = found.slipped + ti.select(rubbed.slips > 0.0, rubbed.slips - ti.sqrt(dot(old, old)), 0.0 * rubbed.slips)
+        choose(friction, due, value=rubbed.pull)

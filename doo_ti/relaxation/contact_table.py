@@ -21,13 +21,14 @@ from doo_ti.system.errors import InputError
 
 ROD = Layout(
     radius=1, stiffness=1, tolerance=1, change=1, phase=1, reach=1, first_stiffness=1, work=1, retried=1, way_made=1, way=1,
-    multiplier=3, largest=1, viscosity=1, first_viscosity=1, eased=1)
+    multiplier=3, largest=1, slipped=1, viscosity=1, first_viscosity=1, eased=1)
 """stiffness, first_stiffness       κ, and as it was at first
 tolerance, change, phase         of gaps; by how much the last round changed one; ROUGH or FINE
 reach                            how close to an obstacle a vertex is where more than its φ counts
 work, retried                    of friction since the motion began; one where a step is tried for the second time
 way_made, way                    of the clamps' way to the next instant, what is made and what is made at once
-multiplier, largest              of closure at the last instant; the largest force
+multiplier, largest, slipped     of closure at the last instant; the largest force; by how much the last round changed the sum
+                                 of all friction that slips
 viscosity, first_viscosity, eased  of a step that viscosity helps along: now, at first, and how many such steps there were"""
 SUMS = Layout(energy=1, magnitude=1, penalty=1, crossing=1, least_phi=1, least_gap=1, force_change=1, sums=("energy", 7))
 """Kept here because a loop over obstacles has no registers for them.
@@ -129,6 +130,7 @@ BENDING_LOADS, LOOP_LOADS = 20.0, 200.0
 """The forces to expect are the weight of an edge and so many B/L²; more where rods touch themselves, which are bent to loops.
 With 20 there, too, loops are pressed so far into each other that a knot slips over an end of its rod."""
 SOFT = 0.1  # of a radius: at first κ gives way by that under such a force
+FAINT = 1e-3  # of such a force: friction of a rod whose forces are all smaller is as exact as one of that
 PRESSED_IN = 0.3
 """Of a radius: the most by which κ gives way under the largest force at the end of a round, so that forces end where contact
 does. In a step, which is as large as its share of each gap plus that (:meth:`.ContactRounds.approach`): at a closed gap 0.6

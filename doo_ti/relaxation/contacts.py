@@ -50,7 +50,7 @@ class RodContacts(ContactRounds):
         """Begin with the rounds of a step, from the forces that there are, in the lanes ``where``."""
         zero = 0.0 * rod.total
         choose(rod.contacts, where, phase=zero + layout.ROUGH, change=zero + 1e30, stiffness=rod.contacts.first_stiffness,
-               retried=zero, update_stiffness=zero, updates=zero)
+               retried=zero, update_stiffness=zero, updates=zero, slipped=zero)
         self.tighten(rod, where)
 
     def friction_work(self, rod):
@@ -138,6 +138,7 @@ class RodContacts(ContactRounds):
         base.radius, base.tolerance, base.reach, base.first_stiffness = radius, tolerance, reach, stiffness
         base.change, base.phase, base.work, base.retried = 1e30, layout.ROUGH, 0.0, 0.0
         base.first_viscosity, base.update_stiffness, base.updates, base.refused, base.gap_kept = viscosity, 0.0, 0.0, 0.0, 1e30
+        base.slipped = 0.0
         for o in range(count):
             at = self.obstacle(one, o)
             for k in range(OBSTACLE_COLUMNS):

@@ -281,17 +281,16 @@ class SelfContacts(RodContacts):
                     self.note_change(found, old, new)
                     at.force = ti.select(due, new, old)
                     if ti.static(self.rub):
-                        found.rubbed = largest_of(found.rubbed, self.update_pair_friction(rod, i, j, at, due))
+                        self.update_pair_friction(rod, i, j, at, due, found)
 
-    def update_pair_friction(self, rod, i, j, at, due):
-        """New friction of two edges under the new force: by how much it changes."""
-        change = self.keep_friction(at.of("friction"), self.rubbed_pair(rod, i, j, at).pull, due)
+    def update_pair_friction(self, rod, i, j, at, due, found):
+        """New friction of two edges under the new force."""
+        self.keep_friction(at.of("friction"), self.rubbed_pair(rod, i, j, at), due, found)
         clearance = self.pair_clearance(rod, i, j, at.distance)
         due = due & (clearance < layout.REACH * rod.contacts.radius)
         # Friction acts across a unit vector; the gradient of the distance is a little shorter.
         unit = scaled(at.normal, 1.0 / ti.sqrt(dot(at.normal, at.normal) + 1e-30))
         choose(at, due, rubbed_normal=unit, rubbed_places=at.places)
-        return change
 
     # --- from one instant to the next, into scratch and out of it ---
 
