@@ -17,7 +17,7 @@ import numpy as np
 
 from doo_ti.contact.surroundings import Surroundings
 from doo_ti.perception.growth import Hypotheses, sampled_directions, select_hypotheses, suppress_similar
-from doo_ti.perception.posterior import detected_places, line_scatter, shown_length, vertex_sigma
+from doo_ti.perception.posterior import detected_places, shown_length, vertex_sigma
 from doo_ti.perception.traced import SAME_LENGTH, whole_rods
 from doo_ti.relaxation.newton import Newton
 from doo_ti.relaxation.relax import relax
@@ -221,8 +221,7 @@ class Search:
         noise = self.options.sigma_px, self.options.correlation_px
         if detections is None:
             return vertex_sigma(self.rig, marks, *noise, start_sigma=start_sigma)
-        detected = detected_places(self.rig, rods.vertices, self.options.pieces, detections)
-        scatter = line_scatter(self.rig, rods.vertices, detections)
+        detected, scatter = detected_places(self.rig, rods.vertices, self.options.pieces, detections)
         beyond = np.maximum(np.insert(np.cumsum(self.rest_length), 0, 0.0) - self.shown_length(rods)[:, None], 0.0)
         return np.hypot(vertex_sigma(self.rig, marks, *noise, scatter, detected, start_sigma), beyond / np.sqrt(3))
 

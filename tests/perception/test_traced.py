@@ -148,9 +148,9 @@ def test_where_a_line_leaves_the_rod_no_camera_counts(seen):
     """The end of a rod that folds along the line of sight is still on the line of that camera."""
     rig, curves, detections = seen
     rod, camera = curves[0][::15].copy(), rig.cameras[0]
-    on_it = detected_places(rig, rod[None], 1, detections[:1]).reshape(2, -1)
+    on_it = detected_places(rig, rod[None], 1, detections[:1])[0].reshape(2, -1)
     rod[-12:] = camera.centre + (rod[-12:] - camera.centre) * np.linspace(1.0, 1.3, 12)[:, None]
-    folded = detected_places(rig, rod[None], 1, detections[:1]).reshape(2, -1)
+    folded = detected_places(rig, rod[None], 1, detections[:1])[0].reshape(2, -1)
     assert (folded[:, :-30] == on_it[:, :-30]).all() and (on_it[:, 10:-10] == 1).all() and (folded[:, -12:] == 0).all()
 
 
@@ -298,7 +298,7 @@ def test_where_nothing_was_detected_sigma_is_large(rng):
     images = views(rig, points, 0.1, rng)
     gap = [found.take(np.abs(np.linspace(-1, 1, found.count)) > 0.3) for found in images]
     marks = points[:: 50]
-    whole, hidden = (vertex_sigma(rig, marks[None, ::4], 0.1, 5.0, 0.0, detected_places(rig, marks[None], 4, [found]))[0]
+    whole, hidden = (vertex_sigma(rig, marks[None, ::4], 0.1, 5.0, 0.0, detected_places(rig, marks[None], 4, [found])[0])[0]
                      for found in (images, gap))
     assert whole == pytest.approx(vertex_sigma(rig, marks[None, ::4], 0.1, 5.0)[0], rel=0.15)  # but for a width at either end
     assert hidden[5] > 1.8 * whole[5] and hidden[1:3] == pytest.approx(whole[1:3], rel=0.3)
