@@ -8,12 +8,12 @@ Where the thread runs along its epipolar lines, that is millimetres of depth. So
 with q_k the middle of the detected points around the image of place k, and n across the line there. After each relaxation it is
 found anew which point is whose, and with r, how far place k is off its line, the weight w_k: the px of line there over
 (1 + r²/h²)². So ρ is Geman's and McClure's, as where strands touch or cross their lines merge, a pixel off both. Along the line
-a place is free, but the last place of the rod moves no farther than the line is wide, else rods would fold in depth between
-cameras close together. A start that is not exact is free as well: only its place along the line is held, as firmly as ends of
-lines are found. Places without points of their direction near them have no weight: the rod's stiffness alone bridges gaps. Nor
-have those nearer to an end of a line, or a gap, than it is wide, where edges of what holds or hides the thread draw it aside,
-those beyond, on lines far wider than the thread, those as near to other strands, and those where the line of some camera leaves
-the rod: the end of a rod longer than its lines else folds in depth, on the lines of other cameras.
+a place is free, but the ends of the rod are held where they were, as firmly as ends of lines are found, else rods would fold in
+depth between cameras close together: the start where that is not exact, and the last place, which is free across the line.
+Places without points of their direction near them have no weight: the rod's stiffness alone bridges gaps. Nor have those nearer
+to an end of a line, or a gap, than it is wide, where edges of what holds or hides the thread draw it aside, those beyond, on
+lines far wider than the thread, those as near to other strands, and those where the line of some camera leaves the rod: the end
+of a rod longer than its lines else folds in depth, on the lines of other cameras.
 
 A piece that one camera alone sees takes up what the rod is too long by: it bulges along the line of sight, and noise that the
 rod follows elsewhere keeps it from moving along the lines. Such rods are relaxed with 20 N and 20 h² first.
@@ -106,16 +106,13 @@ def sharpened(rods: Configuration, rig: Rig, detections: Sequence[Sequence[Detec
             points, tangents, found = lines_at(places, ways, own)
             shown = found & kept[moving] if loosely > 1 else _shown(places, found & ~others[moving], own, width[moving], held)
             square = tangents[..., ::-1] * [1.0, -1.0]
-            off, along = ((places - points) * square).sum(axis=-1), tangents[LAST]
-            slid = ((places[LAST] - given[moving][LAST]) * along).sum(axis=-1, keepdims=True)
-            too_far, limit = np.abs(slid) > width[moving], given[moving][LAST] + width[moving] * np.sign(slid) * along
-            shown[LAST] |= too_far[..., 0] & found[LAST]
+            off = ((places - points) * square).sum(axis=-1)
             weight = shown * np.linalg.norm(ways, axis=-1) / len(PLACES) / (1 + (off / MERGED_PX) ** 2 / loosely) ** 2
-            points[LAST] = np.where(too_far, limit, points[LAST])  # where its tangent is across the line it is held along it
-            tangents[LAST] = np.where(too_far, square[LAST], along)
+            points[LAST], tangents[LAST] = given[moving][LAST], square[LAST]  # held along the line
+            weight[LAST] = np.where(found[LAST], end_weight[moving], 0.0)
             points[~held, :, 0, 0] = given[moving[~held], :, 0, 0]
             tangents[~held, :, 0, 0] = square[~held, :, 0, 0]
-            weight[~held, :, 0, 0] = np.where(found[~held, :, 0, 0], end_weight[moving[~held]], 0.0)
+            weight[~held, :, 0, 0] = np.where(found[~held, :, 0, 0], loosely * end_weight[moving[~held]], 0.0)
             clamps = replace(end_clamps(here), start=np.where(held, Clamp.TANGENT, Clamp.FREE))
             pull = AssignedPoints(rig, points, tangents, nu[moving, None, None, None] / loosely * weight, stiffness, ALONG)
             solution = relax(here, material, clamps, Newton(TOLERANCE), up=up, precision="mixed", external=pull,

@@ -108,7 +108,7 @@ def test_depth_stays_in_bounds_where_images_say_nothing_of_it():
 def test_a_rod_that_leaves_a_piece_of_the_thread_out_is_not_clear(seen):
     """It may be a short cut, as where strands cross."""
     rig, curves, detections = seen
-    images = [[with_more(detections[0][0], detections[0][0].points[200], [0.6, 0.8], range(8, 40)), detections[0][1]]]
+    images = [[with_more(detections[0][0], detections[0][0].points[200], [0.6, 0.8], range(8, 38)), detections[0][1]]]
     found, whole = (recovered((rig, curves[:1], some)) for some in (images, detections[:1]))
     assert found.coverage.min() > 0.95 and errors(found, curves[:1])[0] < 0.6
     assert (found.verdict[0], whole.verdict[0]) == (d.PerceptionVerdict.AMBIGUOUS, d.PerceptionVerdict.CLEAR)
