@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 from scipy.spatial import cKDTree
@@ -152,6 +153,21 @@ def test_where_a_line_leaves_the_rod_no_camera_counts(seen):
     rod[-12:] = camera.centre + (rod[-12:] - camera.centre) * np.linspace(1.0, 1.3, 12)[:, None]
     folded = detected_places(rig, rod[None], 1, detections[:1])[0].reshape(2, -1)
     assert (folded[:, :-30] == on_it[:, :-30]).all() and (on_it[:, 10:-10] == 1).all() and (folded[:, -12:] == 0).all()
+
+
+def test_a_rod_does_not_bulge_where_one_mask_lacks_a_piece():
+    """The rod is a hundredth too long, and takes that up where one camera alone sees it. Drawn by OpenCV."""
+    rig, s = cameras(35.0, third=False), np.linspace(-1, 1, 2001)
+    points, images = np.stack([35 * s, 10 * np.sin(1.5 * s + 1), -1.2 * np.sqrt(400 + 900 * s**2)], axis=1), []
+    points -= points.mean(axis=0)
+    for camera, hidden in zip(rig.cameras, (0, 40)):
+        pixels, mask = camera.project(points), np.zeros((camera.height, camera.width), dtype=np.uint8)
+        cv2.polylines(mask, [np.rint(16 * pixels).astype(np.int32)], False, 255, 5, cv2.LINE_AA, 4)
+        for pixel in pixels[800 : 800 + 10 * hidden : 10]:
+            cv2.circle(mask, np.rint(pixel).astype(int).tolist(), 10, 0, -1)
+        images.append(d.detect_mask(np.where(mask > 127, 255, 0)))
+    found = recovered((rig, [points], [images]), 1.01 * curve_length(points))
+    assert cKDTree(points).query(found.vertices[0, :-2])[0].max() < 0.6
 
 
 @pytest.mark.parametrize(("angle", "height"), [(10.0, 10.0), (15.0, 25.0), (30.0, 10.0)])
