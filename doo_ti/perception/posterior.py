@@ -147,9 +147,10 @@ def inside_ends(places: np.ndarray, found: np.ndarray, width: np.ndarray, exact:
 
 
 def _seen_once(shown: np.ndarray) -> np.ndarray:
-    """(A,) bool: rods of which a piece between others is ``shown`` (A, C, E, K) by one camera, or none."""
-    twice = (shown.sum(axis=1) > 1).reshape(len(shown), -1)
-    return (_between(twice) & ~twice).any(axis=1)
+    """(A,) bool: rods of which one camera alone sees most of a gap between pieces ``shown`` (A, C, E, K) by several."""
+    count = shown.sum(axis=1).reshape(len(shown), -1)
+    gap = _between(count > 1) & (count < 2)
+    return (gap & (count == 1)).sum(axis=1) > 0.5 * gap.sum(axis=1)
 
 
 def _between(there: np.ndarray) -> np.ndarray:
