@@ -9,7 +9,7 @@ with q_k the middle of the detected points around the image of place k, and n ac
 found anew which point is whose, and with r, how far place k is off its line, the weight w_k: the px of line there over
 (1 + r²/h²)². So ρ is Geman's and McClure's, as where strands touch or cross their lines merge, a pixel off both. Along the line
 a place is free, but the ends of the rod are held where they were, as firmly as ends of lines are found, else rods would fold in
-depth between cameras close together: the start where that is not exact, and the last place, which is free across the line.
+depth between cameras close together: the start where that is not exact, and the last place if it moves by more than a width.
 Places without points of their direction near them have no weight: the rod's stiffness alone bridges gaps. Nor have those nearer
 to an end of a line, or a gap, than it is wide, where edges of what holds or hides the thread draw it aside, those beyond, on
 lines far wider than the thread, those as near to other strands, and those where the line of some camera leaves the rod: the end
@@ -108,8 +108,10 @@ def sharpened(rods: Configuration, rig: Rig, detections: Sequence[Sequence[Detec
             square = tangents[..., ::-1] * [1.0, -1.0]
             off = ((places - points) * square).sum(axis=-1)
             weight = shown * np.linalg.norm(ways, axis=-1) / len(PLACES) / (1 + (off / MERGED_PX) ** 2 / loosely) ** 2
-            points[LAST], tangents[LAST] = given[moving][LAST], square[LAST]  # held along the line
-            weight[LAST] = np.where(found[LAST], end_weight[moving], 0.0)
+            slid, free = ((places - given[moving]) * tangents)[LAST].sum(axis=-1), 0.0 if loosely > 1 else width[moving, :, 0]
+            too_far = found[LAST] & (np.abs(slid) > free)
+            points[LAST] = given[moving][LAST] + np.clip(slid, -free, free)[..., None] * tangents[LAST]
+            tangents[LAST], weight[LAST] = square[LAST], np.where(too_far, end_weight[moving], 0.0)
             points[~held, :, 0, 0] = given[moving[~held], :, 0, 0]
             tangents[~held, :, 0, 0] = square[~held, :, 0, 0]
             weight[~held, :, 0, 0] = np.where(found[~held, :, 0, 0], loosely * end_weight[moving[~held]], 0.0)
