@@ -35,8 +35,8 @@ the rod off the line: glints, cameras that disagree about where the thread is, b
 H_E is the Hessian of the rod's bending energy E over its stiffness. How strongly rods of this kind bend is taken from the rod
 itself: with J joints the mean of E is J T in a Gaussian density e^{−E/T}. Where images say little, as of the depth where
 cameras are close together, the rod's stiffness is all that is known, and sigma is large. Rest lengths count as exact, as do a
-seed whose σ is not given, and the rig where its errors do not keep the rod off the lines. An end that kinks as the rod does
-nowhere else follows a line of what holds it: by so much its last vertex is uncertain.
+seed whose σ is not given, and the rig where its errors do not keep the rod off the lines. As the start, so the rod as a whole
+may be farther along itself. An end that kinks as the rod does nowhere else follows what holds it: so uncertain its vertex is.
 
 Sensor noise alone moves detected points by about 0.02 px, over about 4 px of line; the default σ and ℓ of
 :class:`doo_ti.perception.search.PerceptionOptions` are larger, so that sigma is as large as the errors measured on renderings
@@ -184,28 +184,30 @@ def _images_of_places(rig: Rig, vertices: np.ndarray) -> tuple[np.ndarray, np.nd
 # --- its uncertainty -------------------------------------------------------------------------------------------------------
 
 def vertex_sigma(rig: Rig, vertices: np.ndarray, sigma_px: float, correlation_px: float, scatter: np.ndarray | float = 0.0,
-                 detected: np.ndarray | None = None, start_sigma: np.ndarray | float = 0.0) -> np.ndarray:
+                 detected: np.ndarray | None = None, start_covariance: np.ndarray | float = 0.0) -> np.ndarray:
     """(A, V) mm: standard deviation of each vertex, root mean square over its three coordinates.
 
     vertices                   (A, V, 3) mm: rods at minima of E_vis / B, isotropic and straight at rest
     sigma_px, correlation_px   σ and ℓ of the detection, at least
     scatter, detected          (A,) px³ and (A, C S) of :func:`detected_places`; None: all of the thread was detected
-    start_sigma                (A,) mm: the same of the first vertex, before the images are looked at. Where it is zero the
-                               first edge is given
+    start_covariance           (A, 3, 3) mm² of the first vertex, before the images are looked at; zero: its edge is given
     """
     edges = np.diff(vertices, axis=1)
     length = np.linalg.norm(edges, axis=-1)
     tangents = edges / length[..., None]
     first = across(tangents)
     turns = np.stack([first, np.cross(tangents, first)], axis=-1)  # (A, E, 3, 2)
-    seen, image_length = _movement_across(rig, vertices, turns, length)
+    seen, image_length = _movement_across(rig, vertices, tangents, turns, length)
     if detected is not None:
         image_length = image_length * detected
     seen_once = np.swapaxes(seen, -1, -2) @ (image_length[..., None] * seen)
-    stiff = bending_hessian(turns, length) / temperature(vertices, vertices.shape[1], STRAIGHT)[:, None, None]
-    start = np.broadcast_to(start_sigma, len(vertices))[:, None]
-    stiff[:, range(3), range(3)] += 1 / np.maximum(3 * start**2, EXACT)
-    stiff[:, [3, 4], [3, 4]] += np.where(start == 0, 1 / EXACT, 1.0)  # else its direction is known to a radian
+    kept = _not_slid(tangents, turns, length)
+    stiff = np.swapaxes(kept, -1, -2) @ bending_hessian(turns, length) @ kept
+    stiff /= temperature(vertices, vertices.shape[1], STRAIGHT)[:, None, None]
+    start = np.broadcast_to(start_covariance, (len(vertices), 3, 3))
+    free = start.any(axis=(1, 2))
+    stiff[:, :3, :3] += np.linalg.inv(start + EXACT * np.eye(3))
+    stiff[:, [3, 4], [3, 4]] += np.where(free, 1.0, 1 / EXACT)[:, None]  # where it is free, its direction is known to a radian
     noise, sections = np.full(len(vertices), sigma_px**2 * correlation_px), image_length.sum(axis=1) / SECTION_PX
     for _ in range(ROUNDS):
         covariance = np.linalg.inv(seen_once / noise[:, None, None] + stiff)
@@ -215,11 +217,9 @@ def vertex_sigma(rig: Rig, vertices: np.ndarray, sigma_px: float, correlation_px
     covariance = np.linalg.inv(seen_once / noise[:, None, None] + stiff)
     moved = _vertex_movement(turns, length)  # (A, V, 3, P)
     variance = np.einsum("avxp,apq,avxq->av", moved, covariance, moved, optimize=True)
-    kinks = _kinks(tangents, length)
-    variance[:, -1] += kinks[:, 1] ** 2
-    variance[:, 0] += np.where(start[:, 0] > 0, kinks[:, 0], 0.0) ** 2
+    variance[:, [0, -1]] += (_kinks(tangents, length) * np.stack([free, np.ones_like(free)], axis=1)) ** 2
     if detected is not None:
-        variance += _unseen_ends(detected, length, vertices, start > 0) ** 2
+        variance += _unseen_ends(detected, length, vertices, free[:, None]) ** 2
     return np.sqrt(np.maximum(variance, 0.0) / 3)
 
 
@@ -258,19 +258,36 @@ def _vertex_movement(turns: np.ndarray, length: np.ndarray) -> np.ndarray:
     return np.concatenate([np.broadcast_to(np.eye(3), (*turned.shape[:3], 3)), turned], axis=-1)
 
 
-def _movement_across(rig: Rig, vertices: np.ndarray, turns: np.ndarray, length: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """((A, C S, P) px per rad: movement of places of the rod's images across these; (A, C S) px: length of image per place)."""
+def _at_vertices(tangents: np.ndarray) -> np.ndarray:
+    """(A, V, 3) directions of a smooth rod at its vertices, by those of its edges (A, E, 3)."""
+    around = np.pad(tangents, ((0, 0), (1, 1), (0, 0)), mode="reflect", reflect_type="odd")
+    return 0.5 * (around[:, 1:] + around[:, :-1])
+
+
+def _not_slid(tangents: np.ndarray, turns: np.ndarray, length: np.ndarray) -> np.ndarray:
+    """(A, P, P): takes out of parameters the slide of the rod along itself, by as much as its start moves along it."""
+    ways = _at_vertices(tangents)
+    slide = np.einsum("aexu,aex->aeu", turns, np.diff(ways, axis=1)) / length[..., None]
+    slide = np.concatenate([ways[:, 0], slide.reshape(len(ways), -1)], axis=1)
+    along = np.pad(ways[:, 0] / (ways[:, 0] ** 2).sum(axis=1, keepdims=True), ((0, 0), (0, slide.shape[1] - 3)))
+    return np.eye(slide.shape[1]) - slide[:, :, None] * along[:, None]
+
+
+def _movement_across(rig: Rig, vertices: np.ndarray, tangents: np.ndarray, turns: np.ndarray, length: np.ndarray
+                     ) -> tuple[np.ndarray, np.ndarray]:
+    """((A, C S, P) px per rad: movement of places of the rod's images across these; (A, C S) px: length of image per place).
+    Across the images of smooth rods: corners of others would not slide along them."""
     rods, edges = length.shape
-    moved = _vertex_movement(turns, length)
+    moved, ways = _vertex_movement(turns, length), _at_vertices(tangents)
     rows, shares = [], []
     for part in PLACES:
         place = (1 - part) * vertices[:, :-1] + part * vertices[:, 1:]
         motion = (1 - part) * moved[:, :-1] + part * moved[:, 1:]  # (A, E, 3, P)
         ahead = STEP_MM * np.eye(3)
         jacobian = (rig.project(place[:, :, None] + ahead) - rig.project(place[:, :, None] - ahead)) / (2 * STEP_MM)
-        along = np.einsum("caexu,aex->caeu", jacobian, np.diff(vertices, axis=1))
-        pixels = np.linalg.norm(along, axis=-1)
-        normal = normal_to(along) / np.maximum(pixels, 1e-9)[..., None]
+        pixels = np.linalg.norm(np.einsum("caexu,aex->caeu", jacobian, np.diff(vertices, axis=1)), axis=-1)
+        along = np.einsum("caexu,aex->caeu", jacobian, (1 - part) * ways[:, :-1] + part * ways[:, 1:])
+        normal = normal_to(along) / np.maximum(np.linalg.norm(along, axis=-1), 1e-9)[..., None]
         rows.append(np.einsum("caexu,caeu,aexp->acep", jacobian, normal, motion, optimize=True))
         shares.append(np.swapaxes(pixels, 0, 1) / len(PLACES))
     across_image, share = np.stack(rows, axis=3), np.stack(shares, axis=3)
