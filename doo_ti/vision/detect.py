@@ -199,14 +199,16 @@ def _ridge_line(image: np.ndarray, look: Appearance, least_contrast: float, shor
 def _within_ends(ridges: Ridges, shape: tuple[int, int], sigma: float) -> np.ndarray:
     """(N,) bool: points that are not beyond an end of their line, where it has HALF of its strength after smoothing by σ px.
     Weak points between others, as where the background is brighter, are of a line that goes on."""
-    at, strength = (ridges.row + 1, ridges.column + 1), np.zeros((shape[0] + 2, shape[1] + 2), dtype=np.float32)
+    at, strength, weak = (ridges.row + 1, ridges.column + 1), *np.zeros((2, shape[0] + 2, shape[1] + 2), dtype=np.float32)
     strength[at] = ridges.strength
-    weak = strength < HALF * cv2.dilate(strength, np.ones(2 * [2 * int(np.ceil(2 * sigma)) + 1], dtype=np.uint8))
-    part, line = (cv2.connectedComponents(((strength > 0) & kind).astype(np.uint8))[1] for kind in (weak, ~weak))
+    along = ridges.point + sigma * np.array([-2, -1, 1, 2])[:, None, None] * ridges.tangent + 1
+    column, row = np.clip(np.rint(along), 0, np.array(strength.shape[::-1]) - 1).astype(int).transpose(2, 0, 1)
+    weak[at] = ridges.strength < HALF * cv2.dilate(strength, np.ones((3, 3), dtype=np.uint8))[row, column].max(axis=0)
+    part, line = (cv2.connectedComponents(kind.astype(np.uint8))[1] for kind in (weak, (strength > 0) & (weak == 0)))
     around = [line[at[0] + down, at[1] + right] for down in (-1, 0, 1) for right in (-1, 0, 1)]
     touching = np.unique(np.stack([np.tile(part[at], 9), np.concatenate(around)]), axis=1)
     lines = np.bincount(touching[0, touching.all(axis=0)], minlength=part.max() + 1)
-    return (part[at] == 0) | (lines[part[at]] > 1)
+    return (part[at] == 0) | (lines[part[at]] != 1)
 
 
 def _alike(piece: np.ndarray, width: np.ndarray, strength: np.ndarray) -> np.ndarray:
