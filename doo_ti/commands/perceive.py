@@ -70,15 +70,15 @@ def run(options: Namespace) -> int:
         results.refuse_overwriting(path, *sources)
     with progress() as bar:
         detected, failed = _detected(task, bar)
-        begun, rows, length_range, seed_sigma = _begun(task, search, detected, failed)
+        begun, rows, length_range, covariance = _begun(task, search, detected, failed)
         detected = [detected[row] for row in rows]
         growth = GrowthSteps(0 if options.no_recording else options.recorded)
-        found = _perceived(begun, search, detected, seed_sigma, growth, bar)
+        found = _perceived(begun, search, detected, covariance, growth, bar)
         found = replace(found, length_range=np.broadcast_to(length_range, found.length_range.shape))
         if np.ptp(length_range) > 0:  # a stated length may be that of a part
             cameras, views = task.sets.rig.cameras, zip(detected, begun.sets.paths, strict=True)
             lines = [task.sight.with_opposite(*view, cameras) for view in views]
-            found = replace(found, beyond=thread_beyond(task.sets.rig, found.configuration, lines, seed_sigma > 0))
+            found = replace(found, beyond=thread_beyond(task.sets.rig, found.configuration, lines, covariance.any(axis=(1, 2))))
     doubts.warn_of_axes(options, task.sets.rig)
     image_options.warn_of_rig(options, begun.sets, begun.rest_length.sum(), found.verdict, found.camera_error, detected)
     task, every = replace(task, rest_length=begun.rest_length), found.among(rows, task.sets.count)
@@ -109,16 +109,16 @@ def _detected(task: SeenRods, bar) -> tuple[list[list], dict[int, InputError]]:
 def _begun(task: SeenRods, search, detected: list[list], failed: dict[int, InputError]
            ) -> tuple[SeenRods, np.ndarray, np.ndarray, np.ndarray]:
     """The sets in which a rod can begin, with seeds and rest lengths that are not given found in the images; their rows; (2,)
-    mm between which the length is, NaN where it is given; and (R,) mm how uncertain seeds are, zero where they are given.
+    mm between which the length is, NaN where it is given; and (R, 3, 3) mm² how uncertain seeds are, zero where they are given.
 
     failed  why other sets have no rod, by their rows; those are added here in which nothing can be followed
 
     Raises InputError where no set is left.
     """
     length_range, rest_length = np.full(2, np.nan), task.rest_length
-    points, sigma = task.sets.point, np.zeros(task.sets.count)
+    points, covariance = task.sets.point, np.zeros((task.sets.count, 3, 3))
     if points is None:
-        points, sigma = _clicked_points(task.sets, task.sight.remedy(), detected, failed)
+        points, covariance = _clicked_points(task.sets, task.sight.remedy(), detected, failed)
     rows = _left(task.sets, failed)
     sets = replace(task.sets.take(rows), point=points[rows])
     if rest_length is None or sets.direction is None:
@@ -139,25 +139,25 @@ def _begun(task: SeenRods, search, detected: list[list], failed: dict[int, Input
         # Of several sets the median is as much more certain as they are many.
         apart = (np.nanmedian(threads.range, axis=0) - middle) / np.sqrt(np.isfinite(threads.length).sum())
         length_range = np.clip(middle + apart, task.length_bounds.least, task.length_bounds.most)
-    return replace(task, sets=sets, rest_length=rest_length), rows, length_range, sigma[rows]
+    return replace(task, sets=sets, rest_length=rest_length), rows, length_range, covariance[rows]
 
 
 def _clicked_points(sets, remedy: str, detected: list[list], failed: dict[int, InputError]) -> tuple[np.ndarray, np.ndarray]:
-    """(A, 3) mm where the rods of the clicks begin, and (A,) mm how uncertain that is; NaN where none does, which ``failed``
-    gets the reason of, with the ``remedy`` where nothing was detected."""
+    """(A, 3) mm where the rods of the clicks begin, and (A, 3, 3) mm² how uncertain that is; NaN where none does: why, and the
+    ``remedy`` where nothing was detected, is then in ``failed``."""
     from doo_ti.perception.seeds import HELP, seed_from_pixels
 
-    points, sigma = np.full((sets.count, 3), np.nan), np.full(sets.count, np.nan)
+    points, covariance = np.full((sets.count, 3), np.nan), np.full((sets.count, 3, 3), np.nan)
     for row in range(sets.count):
         try:
             if row not in failed:
                 seed = seed_from_pixels(sets.rig, detected[row], sets.clicks[row], _source(sets, row))
-                points[row], sigma[row] = seed.point, seed.sigma
+                points[row], covariance[row] = seed.point, seed.covariance
                 if seed.inside:
                     warn(f"{_source(sets, row)}: no end of the thread is near the pixel: the rod begins within the thread")
         except InputError as error:
             failed[row] = InputError(error.source, error.field, error.problem, error.remedy.replace(HELP, remedy))
-    return points, sigma
+    return points, covariance
 
 
 def _source(sets, row: int) -> str:
@@ -172,7 +172,7 @@ def _left(sets, failed: dict[int, InputError]) -> np.ndarray:
     return np.setdiff1d(np.arange(sets.count), list(failed)).astype(int)
 
 
-def _perceived(task: SeenRods, search, detected: list[list], seed_sigma: np.ndarray, growth: GrowthSteps, bar):
+def _perceived(task: SeenRods, search, detected: list[list], covariance: np.ndarray, growth: GrowthSteps, bar):
     """The Perception of all sets, in groups whose maps fit into memory; its steps are added to ``growth``."""
     sets, edges = task.sets, len(task.rest_length)
     pixels = max(camera.width * camera.height for camera in sets.rig.cameras)
@@ -191,7 +191,7 @@ def _perceived(task: SeenRods, search, detected: list[list], seed_sigma: np.ndar
         maps = doo_ti.distance_maps(detected[rows], MARGIN_PX)
         found.append(doo_ti.perceive(maps, sets.rig, sets.point[rows], sets.direction[rows], task.rest_length, task.material,
                                      up=task.up, options=search, on_step=advance(first, len(maps.window)),
-                                     surroundings=task.surroundings, start_sigma=seed_sigma[rows]))
+                                     surroundings=task.surroundings, start_covariance=covariance[rows]))
     return doo_ti.Perception.joined(found)
 
 

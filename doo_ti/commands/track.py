@@ -115,10 +115,10 @@ def _far_motions(path: Path, frames: int) -> list:
 
 @dataclass(frozen=True)
 class _Start:
-    """Where the rod begins in a frame, mm, by how much that is uncertain, and in which direction."""
+    """Where the rod begins in a frame, mm, how uncertain that is, and in which direction."""
 
     point: np.ndarray
-    sigma: float
+    covariance: np.ndarray  # (3, 3) mm²
     direction: np.ndarray
 
 
@@ -128,7 +128,7 @@ def _tracked(options: Namespace, task: SeenRods, motions: list | None) -> tuple[
     from doo_ti.vision.synchronisation import epipolar_extremes
 
     frames, rest_length, known, problem = task.sets, task.rest_length, None, None
-    found, starts, sigma, seen, extremes, length_range = [], [], [], [], [], np.full(2, np.nan)
+    found, starts, covariances, seen, extremes, length_range = [], [], [], [], [], np.full(2, np.nan)
     try:
         with progress() as bar:
             shown = bar.add_task("tracking", total=frames.count, unit="frames")
@@ -144,9 +144,9 @@ def _tracked(options: Namespace, task: SeenRods, motions: list | None) -> tuple[
                     tracker = doo_ti.Tracker(frames.rig, rest_length, task.material, up=task.up, surroundings=task.surroundings,
                                              length_range=length_range)
                 far = None if motions is None or row == 0 else motions[row - 1]
-                sigma.append(0.0 if frames.point is not None else
-                             float(np.hypot(start.sigma, _off_thread(frames.rig, detected, start.point))))
-                frame = tracker.see(detected, start.point, start.direction, far, sigma[-1])
+                covariances.append(np.zeros((3, 3)) if frames.point is not None else
+                                   start.covariance + _off_thread(frames.rig, detected, start.point) ** 2 * np.eye(3))
+                frame = tracker.see(detected, start.point, start.direction, far, covariances[-1])
                 if row == 0 and frame.verdict == doo_ti.PerceptionVerdict.NOT_FOUND:
                     image_options.warn_of_rig(options, frames, rest_length.sum(), np.array([frame.verdict]),
                                               frame.camera_error[None], [detected])
@@ -155,7 +155,7 @@ def _tracked(options: Namespace, task: SeenRods, motions: list | None) -> tuple[
                 starts.append(start)
                 seen.append(None if frame.verdict == doo_ti.PerceptionVerdict.CLEAR else detected)
                 bar.advance(shown)
-            _look_back(tracker, found, seen, starts, sigma)
+            _look_back(tracker, found, seen, starts, covariances)
     except (InputError, OSError, KeyboardInterrupt) as error:
         if not found:
             raise
@@ -177,17 +177,17 @@ def _warn_of_instants(frames: ImageSets, extremes: np.ndarray) -> None:
              f"{shifted:.2g} px off rather than {same:.2g}; give images of the same instant")
 
 
-def _look_back(tracker, found: list, seen: list, starts: list[_Start], sigma: list[float]) -> None:
+def _look_back(tracker, found: list, seen: list, starts: list[_Start], covariances: list[np.ndarray]) -> None:
     """Follow rods back into earlier frames in which they were not found, or fit worse than in the next: the first frames of a
-    video, and those in which a rod was hidden. ``seen``: the detections of frames that are not clear; ``sigma``, mm, how
-    uncertain their starts are."""
+    video, and those in which a rod was hidden. ``seen``: the detections of frames that are not clear; ``covariances``,
+    (3, 3) mm², how uncertain their starts are."""
     for row in range(len(found) - 2, -1, -1):
         now, after = found[row], found[row + 1]
         likely = after.verdict <= doo_ti.PerceptionVerdict.LIKELY
         worse = likely if now.how == doo_ti.How.LOST else now.verdict > after.verdict or now.energy_vis > after.energy_vis
         if worse and seen[row] is not None:
             found[row] = tracker.revised(now, after, seen[row], starts[row].point, starts[row].direction,
-                                         sigma[row])
+                                         covariances[row])
 
 
 def _off_thread(rig, detected: list, point: np.ndarray) -> float:
@@ -205,7 +205,7 @@ def _begun(task: SeenRods, row: int, detected: list, before: _Start | None, know
     InputError where no thread can be followed."""
     from doo_ti.perception.seeds import seed_from_pixels, whole_threads
 
-    frames, direction, sigma = task.sets, None, 0.0
+    frames, direction, covariance = task.sets, None, np.zeros((3, 3))
     source = f"{frames.source}: {in_line(frames.names[row])}"
     if frames.point is None:
         try:
@@ -215,17 +215,17 @@ def _begun(task: SeenRods, row: int, detected: list, before: _Start | None, know
                 raise
             warn(f"{source}: {error.problem}; the start of the frame before is taken")
             return before, None
-        point, sigma = seed.point, seed.sigma
+        point, covariance = seed.point, seed.covariance
     else:
         point, direction = frames.point[row], frames.direction[row : row + 1]
         if row or task.rest_length is not None:
-            return _Start(point, sigma, direction[0]), None
+            return _Start(point, covariance, direction[0]), None
     thread = whole_threads(frames.rig, [detected], point[None], direction, task.material, task.up)
     if np.isnan(thread.length[0]):
         if before is not None:
             return before, None
         raise InputError(source, "seed", "no thread can be followed from it", "give another, or --rest-length")
-    return _Start(point, sigma, thread.direction[0]), thread
+    return _Start(point, covariance, thread.direction[0]), thread
 
 
 def _arrays(task: SeenRods, time: np.ndarray | None, rest_length: np.ndarray, length_range: np.ndarray, found: list

@@ -219,7 +219,7 @@ def perceive(
     maps: DistanceMaps, rig: Rig, point: ArrayLike, direction: ArrayLike, rest_length: ArrayLike, material: Material, *,
     up: ArrayLike = (0.0, 0.0, 1.0),
     options: PerceptionOptions = PerceptionOptions(), on_step: Callable[[int, Hypotheses, Hypotheses], None] | None = None,
-    surroundings: Surroundings = Surroundings(), start_sigma: ArrayLike = 0.0,
+    surroundings: Surroundings = Surroundings(), start_covariance: ArrayLike = 0.0,
 ) -> Perception:
     """Recover the rods in A sets of images (Alg. 1).
 
@@ -232,8 +232,8 @@ def perceive(
     up           (3,) direction against gravity; any length
     on_step      called with the number of edges, the hypotheses kept and those pruned, after each step
     surroundings obstacles that all rods may touch but not enter, and their radius
-    start_sigma  (A,) mm: standard deviation of each ``point``, root mean square over the coordinates. It counts in that of
-                 the rod, whose start the last relaxation may then move; 0: point and direction are exact
+    start_covariance  (A, 3, 3) mm² of each ``point``. It counts in that of the rod, which may slide along itself, and whose
+                 start the last relaxation may then move; 0: point and direction are exact
 
     Raises InputError for shapes that do not match, fewer than two edges, more than one material, and seeds inside an obstacle.
     """
@@ -247,7 +247,7 @@ def perceive(
         kept = grown.take(rows)
         if on_step is not None:
             on_step(edges, kept, grown.take(np.setdiff1d(np.arange(len(grown.of_set)), rows)))
-    return _result(search, kept, np.broadcast_to(np.asarray(start_sigma, dtype=np.float64), len(point)))
+    return _result(search, kept, np.broadcast_to(np.asarray(start_covariance, dtype=np.float64), (len(point), 3, 3)))
 
 
 def checked_seeds(function: str, point: ArrayLike, direction: ArrayLike, sets: int) -> tuple[np.ndarray, np.ndarray]:
@@ -272,7 +272,7 @@ def checked_rod(function: str, rest_length: ArrayLike, material: Material, up: A
     return lengths, unit_up(up, function)
 
 
-def _result(search: Search, kept: Hypotheses, start_sigma: np.ndarray) -> Perception:
+def _result(search: Search, kept: Hypotheses, start_covariance: np.ndarray) -> Perception:
     """The finalists of each set relaxed until they converge, ranked."""
     options = search.options
     candidates = rank_distinct(kept.energy_vis, search.vertices(kept), kept.of_set, options.finalists, options.similar_distance)
@@ -283,13 +283,13 @@ def _result(search: Search, kept: Hypotheses, start_sigma: np.ndarray) -> Percep
     ranked = rank_distinct(final.energy_vis, marks, final.of_set, 1 + options.runners_up, options.similar_distance, certified)
     # If all rods of a set failed, one of them is returned with its status.
     best = np.where(ranked[:, 0] >= 0, ranked[:, 0], np.searchsorted(final.of_set, np.arange(len(ranked))))
-    found = perception_of(search, final, best, ranked[:, 1:], start_sigma)
+    found = perception_of(search, final, best, ranked[:, 1:], start_covariance)
     shown, length = search.shown_length(found.configuration), search.rest_length.sum()
     ends = search.both_ways & ((shown < (1 - CERTAIN_LENGTH) * length) | (found.left_over <= CERTAIN_LENGTH * length))
     return replace(found, thread_length=np.where(np.isnan(found.thread_length) & ends, shown, found.thread_length))
 
 
-def perception_of(search: Search, final: Finalists, best: np.ndarray, others: np.ndarray, start_sigma: np.ndarray
+def perception_of(search: Search, final: Finalists, best: np.ndarray, others: np.ndarray, start_covariance: np.ndarray
                   ) -> Perception:
     """The rods ``best`` (A,) among ``final``, one of each set, beside ``others`` (A, K), −1 where there are fewer."""
     options, found = search.options, others >= 0
@@ -297,14 +297,14 @@ def perception_of(search: Search, final: Finalists, best: np.ndarray, others: np
     runner_up_energy = np.where(found, final.energy_vis[others], np.inf)
     with np.errstate(invalid="ignore"):  # a rod that is not finite is data
         worse = runner_up_energy.min(axis=1, initial=np.inf) - final.energy_vis[best]
-        final = _sharpened(search, final, best, start_sigma == 0)
+        final = _sharpened(search, final, best, ~start_covariance.any(axis=(1, 2)))
         rods = final.configuration.take(best)
         edge_error, image_length = search.reprojected(rods.vertices)
         near = edge_error <= options.unsupported
         hidden = ~near & (near.sum(axis=1, keepdims=True) >= 2)
         seen_length = np.where(hidden, 0.0, image_length)
         camera_error = np.einsum("ace,ace->ac", edge_error, seen_length) / seen_length.sum(axis=2)
-        sigma = search.sigma(rods, start_sigma)
+        sigma = search.sigma(rods, start_covariance)
     errors = misread(search.rig, rods.vertices, search.maps.detections) if search.both_ways else {
         **dict.fromkeys(ERRORS, np.zeros(image_length.shape[:2])), "left": np.full(image_length.shape[:2], np.nan)}
     return Perception(

@@ -8,12 +8,15 @@ Where the thread runs along its epipolar lines, that is millimetres of depth. So
 with q_k the middle of the detected points around the image of place k, and n across the line there. After each relaxation it is
 found anew which point is whose, and with r, how far place k is off its line, the weight w_k: the px of line there over
 (1 + r²/h²)². So ρ is Geman's and McClure's, as where strands touch or cross their lines merge, a pixel off both. Along the line
-a place is free, but the last place of the rod moves no farther than the line is wide, else rods would fold in depth between
-cameras close together. A start that is not exact is free as well: only its place along the line is held, as firmly as ends of
-lines are found. Places without points of their direction near them have no weight: the rod's stiffness alone bridges gaps. Nor
-have those nearer to a line's end than it is wide, where edges of what holds the thread draw it aside, those beyond, on lines
-far wider than the thread, and those where the line of some camera leaves the rod: the end of a rod longer than its lines else
-folds in depth, on the lines of other cameras.
+a place is free, but the ends of the rod are held where they were, as firmly as ends of lines are found, else rods would fold in
+depth between cameras close together: the start where that is not exact, and the last place if it moves by more than a width.
+Places without points of their direction near them have no weight: the rod's stiffness alone bridges gaps. Nor have those nearer
+to an end of a line, or a gap, than it is wide, where edges of what holds or hides the thread draw it aside, those beyond, on
+lines far wider than the thread, those as near to other strands, and those where the line of some camera leaves the rod: the end
+of a rod longer than its lines else folds in depth, on the lines of other cameras.
+
+A piece that one camera alone sees takes up what the rod is too long by: it bulges along the line of sight, and noise that the
+rod follows elsewhere keeps it from moving along the lines. Such rods are relaxed with 20 N and 20 h² first.
 
 Around that rod the Laplace approximation has
 
@@ -32,8 +35,8 @@ the rod off the line: glints, cameras that disagree about where the thread is, b
 H_E is the Hessian of the rod's bending energy E over its stiffness. How strongly rods of this kind bend is taken from the rod
 itself: with J joints the mean of E is J T in a Gaussian density e^{−E/T}. Where images say little, as of the depth where
 cameras are close together, the rod's stiffness is all that is known, and sigma is large. Rest lengths count as exact, as do a
-seed whose σ is not given, and the rig where its errors do not keep the rod off the lines. An end that kinks as the rod does
-nowhere else follows a line of what holds it: by so much its last vertex is uncertain.
+seed whose σ is not given, and the rig where its errors do not keep the rod off the lines. As the start, so the rod as a whole
+may be farther along itself. An end that kinks as the rod does nowhere else follows what holds it: so uncertain its vertex is.
 
 Sensor noise alone moves detected points by about 0.02 px, over about 4 px of line; the default σ and ℓ of
 :class:`doo_ti.perception.search.PerceptionOptions` are larger, so that sigma is as large as the errors measured on renderings
@@ -47,7 +50,6 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from doo_ti.contact.surroundings import Surroundings
 from doo_ti.relaxation.newton import Newton
@@ -57,12 +59,13 @@ from doo_ti.rod.shapes import end_clamps
 from doo_ti.rod.types import Clamp, Configuration, Material, Status, put_rods
 from doo_ti.vision.cameras import Rig
 from doo_ti.vision.detection import NEAR_PX, Detection, thinned
-from doo_ti.vision.distance_map import ALIKE, WIDER, coverage, nearest_place
+from doo_ti.vision.distance_map import WIDER, coverage, nearest_place
 from doo_ti.vision.image_energy import AssignedPoints
-from doo_ti.vision.paths import contradicted, inside_ends, line_trees, lines_at
+from doo_ti.vision.paths import Lines, contradicted, line_trees, lines_at, merged
 
 PLACES = np.array([0.25, 0.75])  # along an edge where its image is evaluated
-RELAXATIONS, STILL_MM = 20, 0.01  # at most, until no vertex moves by more
+RELAXATIONS, STILL_MM = 10, 0.01  # at most, until no vertex moves by more
+LOOSE = 20.0  # N of the first relaxations of rods of which one camera alone sees a piece, over that of the last ones
 TOLERANCE = 1e-5  # of their residuals: points, of which many pull, are known to f32
 MERGED_PX = 0.3  # h: where the line is farther off the rod, other strands are likely to have moved it
 LAST = np.s_[:, :, -1, -1]  # of (A, C, E, K) places
@@ -76,7 +79,6 @@ STEP_MM = 1e-3  # step of the difference quotients of the projection
 ROUNDS, LEAST_FREE = 6, 0.2  # rounds in which N and γ are found, and the least share of sections that a rod does not follow
 SECTION_PX = 20.0  # L
 ASIDE = 0.5  # least length of an end's image, over that in another camera, that says where the thread ends
-FEWEST = 10  # points in a section that counts
 
 
 def sharpened(rods: Configuration, rig: Rig, detections: Sequence[Sequence[Detection]], material: Material, up: np.ndarray,
@@ -84,65 +86,83 @@ def sharpened(rods: Configuration, rig: Rig, detections: Sequence[Sequence[Detec
     """``rods`` (A), each with so many ``marks``, relaxed under E + ν E_back, and (A,) bool: those that end at certified minima
     and still explain the lines. Others stay as they were. Where ``exact`` (A,) the first edge is held."""
     every = np.arange(len(rods.start))
-    start, quaternions = rods.start.copy(), rods.quaternions.copy()
-    sound, moving = np.zeros(len(every), dtype=bool), every
-    nu, stiffness = temperature(rods.vertices, marks, TURNING) / (2 * NOISE_PX3), float(np.linalg.eigvalsh(material.bend).max())
-    lines = line_trees(detections)
-    given = _images_of_places(rig, rods.vertices)[0]
+    start, quaternions, sound = rods.start.copy(), rods.quaternions.copy(), np.zeros(len(every), dtype=bool)
+    pieces, stiffness = (len(rods.vertices[0]) - 1) // (marks - 1), float(np.linalg.eigvalsh(material.bend).max())
+    nu = temperature(rods.vertices[:, ::pieces], marks, TURNING) / (2 * NOISE_PX3)
+    of_thread, (given, ways) = _of_thread(detections), _images_of_places(rig, rods.vertices)
+    lines = line_trees(of_thread)
     width = np.nan_to_num([[[detection.width_px] for detection in images] for images in detections])
     end_weight = np.array([[NOISE_PX3 / detection.end_sigma**2 for detection in images] for images in detections])
-    for _ in range(RELAXATIONS):
-        here = Configuration(start, quaternions, rods.rest_length).take(moving)
-        places, ways = _images_of_places(rig, here.vertices)
-        points, tangents, found = lines_at(places, ways, [lines[row] for row in moving])
-        weight = np.where(found, np.linalg.norm(ways, axis=-1) / len(PLACES), 0.0)
-        square = tangents[..., ::-1] * [1.0, -1.0]
-        off, along = ((places - points) * square).sum(axis=-1), tangents[LAST]
-        weight /= (1 + (off / MERGED_PX) ** 2) ** 2
-        weight *= ~contradicted(places, found, [lines[row] for row in moving])[:, None]
-        thin = found & _as_thin(places, [detections[row] for row in moving])
-        within = inside_ends(places, thin, width[moving], exact[moving])
-        slid = ((places[LAST] - given[moving][LAST]) * along).sum(axis=-1, keepdims=True)
-        too_far, limit = np.abs(slid) > width[moving], given[moving][LAST] + width[moving] * np.sign(slid) * along
-        within[LAST] |= too_far[..., 0] & thin[LAST]
-        weight *= within
-        points[LAST] = np.where(too_far, limit, points[LAST])  # a place whose tangent is across the line is held along it
-        tangents[LAST] = np.where(too_far, square[LAST], along)
-        loose = ~exact[moving]
-        points[loose, :, 0, 0] = given[moving[loose], :, 0, 0]
-        tangents[loose, :, 0, 0] = square[loose, :, 0, 0]
-        weight[loose, :, 0, 0] = np.where(found[loose, :, 0, 0], end_weight[moving[loose]], 0.0)
-        weight = nu[moving, None, None, None] * weight
-        clamps = replace(end_clamps(here), start=np.where(exact[moving], Clamp.TANGENT, Clamp.FREE))
-        solution = relax(here, material, clamps, Newton(TOLERANCE), up=up, precision="mixed",
-                         external=AssignedPoints(rig, points, tangents, weight, stiffness, ALONG),
-                         external_index=np.arange(len(moving)), **surroundings.arguments)
-        start[moving], quaternions[moving] = solution.configuration.start, solution.configuration.quaternions
-        sound[moving] = (solution.status == Status.CONVERGED) & solution.stable
-        moved = np.abs(solution.configuration.vertices - here.vertices).max(axis=(1, 2))
-        moving = moving[moved > STILL_MM]
-        if not len(moving):
-            break
+    found = lines_at(given, ways, lines)[2]
+    others = merged(given, inside_ends(given, found, width, exact), lines, width)
+    kept = _shown(given, found & ~others, lines, width, exact)
+    for loosely, moving in ((LOOSE, np.flatnonzero(_seen_once(kept))), (1.0, every)):
+        for _ in range(RELAXATIONS):
+            if not len(moving):
+                break
+            here = Configuration(start, quaternions, rods.rest_length).take(moving)
+            places, ways = _images_of_places(rig, here.vertices)
+            own, held = [lines[row] for row in moving], exact[moving]
+            points, tangents, found = lines_at(places, ways, own)
+            shown = found & kept[moving] if loosely > 1 else _shown(places, found & ~others[moving], own, width[moving], held)
+            square = tangents[..., ::-1] * [1.0, -1.0]
+            off = ((places - points) * square).sum(axis=-1)
+            weight = shown * np.linalg.norm(ways, axis=-1) / len(PLACES) / (1 + (off / MERGED_PX) ** 2 / loosely) ** 2
+            slid, free = ((places - given[moving]) * tangents)[LAST].sum(axis=-1), 0.0 if loosely > 1 else width[moving, :, 0]
+            too_far = found[LAST] & (np.abs(slid) > free)
+            points[LAST] = given[moving][LAST] + np.clip(slid, -free, free)[..., None] * tangents[LAST]
+            tangents[LAST], weight[LAST] = square[LAST], np.where(too_far, end_weight[moving], 0.0)
+            points[~held, :, 0, 0] = given[moving[~held], :, 0, 0]
+            tangents[~held, :, 0, 0] = square[~held, :, 0, 0]
+            weight[~held, :, 0, 0] = np.where(found[~held, :, 0, 0], loosely * end_weight[moving[~held]], 0.0)
+            clamps = replace(end_clamps(here), start=np.where(held, Clamp.TANGENT, Clamp.FREE))
+            pull = AssignedPoints(rig, points, tangents, nu[moving, None, None, None] / loosely * weight, stiffness, ALONG)
+            solution = relax(here, material, clamps, Newton(TOLERANCE), up=up, precision="mixed", external=pull,
+                             external_index=np.arange(len(moving)), **surroundings.arguments)
+            start[moving], quaternions[moving] = solution.configuration.start, solution.configuration.quaternions
+            sound[moving] = (solution.status == Status.CONVERGED) & solution.stable
+            moving = moving[np.abs(solution.configuration.vertices - here.vertices).max(axis=(1, 2)) > STILL_MM]
     new = Configuration(start, quaternions, rods.rest_length)
-    of_thread = [[found.take(~_far_wider(found)) for found in images] for images in detections]
     before, after = (coverage(rig, shape.vertices, every, of_thread, NEAR_PX).share for shape in (rods, new))
     sound &= (after >= np.minimum(before, COVERED)).all(axis=1)
     return put_rods(rods, sound, new.take(sound)), sound
 
 
-def _as_thin(places: np.ndarray, detections: Sequence[Sequence[Detection]]) -> np.ndarray:
-    """(A, C, E, K) bool: places near no line that is far wider than the thread, as what holds it is."""
-    thin = np.ones(places.shape[:-1], dtype=bool)
-    for row, c in np.ndindex(thin.shape[:2]):
-        wide = detections[row][c].points[_far_wider(detections[row][c])]
-        if len(wide):
-            thin[row, c] = cKDTree(wide).query(places[row, c])[0] > NEAR_PX
-    return thin
+def _shown(places: np.ndarray, found: np.ndarray, lines: Lines, width: np.ndarray, exact: np.ndarray) -> np.ndarray:
+    """(A, C, E, K) bool: those of ``places`` at which the rod's line is ``found`` that are :func:`inside_ends`, and not
+    :func:`contradicted`."""
+    return inside_ends(places, found, width, exact) & ~contradicted(places, found, lines)[:, None]
 
 
-def _far_wider(detection: Detection) -> np.ndarray:
-    """(N,) bool: points of a line that is no thread, or one in a glint."""
-    return detection.widths > WIDER * detection.width_px
+def inside_ends(places: np.ndarray, found: np.ndarray, width: np.ndarray, exact: np.ndarray) -> np.ndarray:
+    """(A, C, E, K) bool: those of the ``places`` (A, C, E, K, 2) px of rods' images at which the line is ``found`` (A, C, E, K)
+    that are farther than its ``width`` (A, C, 1) px from where it ends, or is hidden, but for a start that is ``exact`` (A,).
+    Nearer to its end a line is drawn aside by the edges of what holds it, or hides it, or is behind it."""
+    flat = places.reshape(*places.shape[:2], -1, 2)
+    along = np.pad(np.cumsum(np.linalg.norm(np.diff(flat, axis=2), axis=-1), axis=2), ((0, 0), (0, 0), (1, 0)))
+    there = found.reshape(along.shape)
+    before, after = np.roll(there, 1, axis=2), np.roll(there, -1, axis=2)
+    before[..., 0], after[..., -1] = exact[:, None], False
+    first = np.maximum.accumulate(np.where(there & ~before, along, -np.inf), axis=2)
+    last = np.minimum.accumulate(np.where(there & ~after, along, np.inf)[..., ::-1], axis=2)[..., ::-1]
+    return (there & (along <= last - width) & (along >= first + width)).reshape(found.shape)
+
+
+def _seen_once(shown: np.ndarray) -> np.ndarray:
+    """(A,) bool: rods of which one camera alone sees most of a gap between pieces ``shown`` (A, C, E, K) by several."""
+    count = shown.sum(axis=1).reshape(len(shown), -1)
+    gap = _between(count > 1) & (count < 2)
+    return (gap & (count == 1)).sum(axis=1) > 0.5 * gap.sum(axis=1)
+
+
+def _between(there: np.ndarray) -> np.ndarray:
+    """(…, S) bool: all from the first to the last of those that are ``there`` (…, S)."""
+    return np.maximum.accumulate(there, axis=-1) & np.maximum.accumulate(there[..., ::-1], axis=-1)[..., ::-1]
+
+
+def _of_thread(detections: Sequence[Sequence[Detection]]) -> list[list[Detection]]:
+    """The ``detections`` without lines that are far wider than the thread, or in a glint."""
+    return [[found.take(found.widths <= WIDER * found.width_px) for found in images] for images in detections]
 
 
 def temperature(vertices: np.ndarray, marks: int, least_turn: float) -> np.ndarray:
@@ -164,29 +184,30 @@ def _images_of_places(rig: Rig, vertices: np.ndarray) -> tuple[np.ndarray, np.nd
 # --- its uncertainty -------------------------------------------------------------------------------------------------------
 
 def vertex_sigma(rig: Rig, vertices: np.ndarray, sigma_px: float, correlation_px: float, scatter: np.ndarray | float = 0.0,
-                 detected: np.ndarray | None = None, start_sigma: np.ndarray | float = 0.0) -> np.ndarray:
+                 detected: np.ndarray | None = None, start_covariance: np.ndarray | float = 0.0) -> np.ndarray:
     """(A, V) mm: standard deviation of each vertex, root mean square over its three coordinates.
 
     vertices                   (A, V, 3) mm: rods at minima of E_vis / B, isotropic and straight at rest
     sigma_px, correlation_px   σ and ℓ of the detection, at least
-    scatter                    (A,) px³: Q of :func:`line_scatter`
-    detected                   (A, C S) of :func:`detected_places`; None: all of the thread was detected
-    start_sigma                (A,) mm: the same of the first vertex, before the images are looked at. Where it is zero the
-                               first edge is given
+    scatter, detected          (A,) px³ and (A, C S) of :func:`detected_places`; None: all of the thread was detected
+    start_covariance           (A, 3, 3) mm² of the first vertex, before the images are looked at; zero: its edge is given
     """
     edges = np.diff(vertices, axis=1)
     length = np.linalg.norm(edges, axis=-1)
     tangents = edges / length[..., None]
     first = across(tangents)
     turns = np.stack([first, np.cross(tangents, first)], axis=-1)  # (A, E, 3, 2)
-    seen, image_length = _movement_across(rig, vertices, turns, length)
+    seen, image_length = _movement_across(rig, vertices, tangents, turns, length)
     if detected is not None:
         image_length = image_length * detected
     seen_once = np.swapaxes(seen, -1, -2) @ (image_length[..., None] * seen)
-    stiff = bending_hessian(turns, length) / temperature(vertices, vertices.shape[1], STRAIGHT)[:, None, None]
-    start = np.broadcast_to(start_sigma, len(vertices))[:, None]
-    stiff[:, range(3), range(3)] += 1 / np.maximum(3 * start**2, EXACT)
-    stiff[:, [3, 4], [3, 4]] += np.where(start == 0, 1 / EXACT, 1.0)  # else its direction is known to a radian
+    kept = _not_slid(tangents, turns, length)
+    stiff = np.swapaxes(kept, -1, -2) @ bending_hessian(turns, length) @ kept
+    stiff /= temperature(vertices, vertices.shape[1], STRAIGHT)[:, None, None]
+    start = np.broadcast_to(start_covariance, (len(vertices), 3, 3))
+    free = start.any(axis=(1, 2))
+    stiff[:, :3, :3] += np.linalg.inv(start + EXACT * np.eye(3))
+    stiff[:, [3, 4], [3, 4]] += np.where(free, 1.0, 1 / EXACT)[:, None]  # where it is free, its direction is known to a radian
     noise, sections = np.full(len(vertices), sigma_px**2 * correlation_px), image_length.sum(axis=1) / SECTION_PX
     for _ in range(ROUNDS):
         covariance = np.linalg.inv(seen_once / noise[:, None, None] + stiff)
@@ -196,11 +217,9 @@ def vertex_sigma(rig: Rig, vertices: np.ndarray, sigma_px: float, correlation_px
     covariance = np.linalg.inv(seen_once / noise[:, None, None] + stiff)
     moved = _vertex_movement(turns, length)  # (A, V, 3, P)
     variance = np.einsum("avxp,apq,avxq->av", moved, covariance, moved, optimize=True)
-    kinks = _kinks(tangents, length)
-    variance[:, -1] += kinks[:, 1] ** 2
-    variance[:, 0] += np.where(start[:, 0] > 0, kinks[:, 0], 0.0) ** 2
+    variance[:, [0, -1]] += (_kinks(tangents, length) * np.stack([free, np.ones_like(free)], axis=1)) ** 2
     if detected is not None:
-        variance += _unseen_ends(detected, length, vertices, start > 0) ** 2
+        variance += _unseen_ends(detected, length, vertices, free[:, None]) ** 2
     return np.sqrt(np.maximum(variance, 0.0) / 3)
 
 
@@ -239,19 +258,36 @@ def _vertex_movement(turns: np.ndarray, length: np.ndarray) -> np.ndarray:
     return np.concatenate([np.broadcast_to(np.eye(3), (*turned.shape[:3], 3)), turned], axis=-1)
 
 
-def _movement_across(rig: Rig, vertices: np.ndarray, turns: np.ndarray, length: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """((A, C S, P) px per rad: movement of places of the rod's images across these; (A, C S) px: length of image per place)."""
+def _at_vertices(tangents: np.ndarray) -> np.ndarray:
+    """(A, V, 3) directions of a smooth rod at its vertices, by those of its edges (A, E, 3)."""
+    around = np.pad(tangents, ((0, 0), (1, 1), (0, 0)), mode="reflect", reflect_type="odd")
+    return 0.5 * (around[:, 1:] + around[:, :-1])
+
+
+def _not_slid(tangents: np.ndarray, turns: np.ndarray, length: np.ndarray) -> np.ndarray:
+    """(A, P, P): takes out of parameters the slide of the rod along itself, by as much as its start moves along it."""
+    ways = _at_vertices(tangents)
+    slide = np.einsum("aexu,aex->aeu", turns, np.diff(ways, axis=1)) / length[..., None]
+    slide = np.concatenate([ways[:, 0], slide.reshape(len(ways), -1)], axis=1)
+    along = np.pad(ways[:, 0] / (ways[:, 0] ** 2).sum(axis=1, keepdims=True), ((0, 0), (0, slide.shape[1] - 3)))
+    return np.eye(slide.shape[1]) - slide[:, :, None] * along[:, None]
+
+
+def _movement_across(rig: Rig, vertices: np.ndarray, tangents: np.ndarray, turns: np.ndarray, length: np.ndarray
+                     ) -> tuple[np.ndarray, np.ndarray]:
+    """((A, C S, P) px per rad: movement of places of the rod's images across these; (A, C S) px: length of image per place).
+    Across the images of smooth rods: corners of others would not slide along them."""
     rods, edges = length.shape
-    moved = _vertex_movement(turns, length)
+    moved, ways = _vertex_movement(turns, length), _at_vertices(tangents)
     rows, shares = [], []
     for part in PLACES:
         place = (1 - part) * vertices[:, :-1] + part * vertices[:, 1:]
         motion = (1 - part) * moved[:, :-1] + part * moved[:, 1:]  # (A, E, 3, P)
         ahead = STEP_MM * np.eye(3)
         jacobian = (rig.project(place[:, :, None] + ahead) - rig.project(place[:, :, None] - ahead)) / (2 * STEP_MM)
-        along = np.einsum("caexu,aex->caeu", jacobian, np.diff(vertices, axis=1))
-        pixels = np.linalg.norm(along, axis=-1)
-        normal = normal_to(along) / np.maximum(pixels, 1e-9)[..., None]
+        pixels = np.linalg.norm(np.einsum("caexu,aex->caeu", jacobian, np.diff(vertices, axis=1)), axis=-1)
+        along = np.einsum("caexu,aex->caeu", jacobian, (1 - part) * ways[:, :-1] + part * ways[:, 1:])
+        normal = normal_to(along) / np.maximum(np.linalg.norm(along, axis=-1), 1e-9)[..., None]
         rows.append(np.einsum("caexu,caeu,aexp->acep", jacobian, normal, motion, optimize=True))
         shares.append(np.swapaxes(pixels, 0, 1) / len(PLACES))
     across_image, share = np.stack(rows, axis=3), np.stack(shares, axis=3)
@@ -266,9 +302,9 @@ def shown_length(rods: Configuration, rig: Rig, detections: Sequence[Sequence[De
     do not look along the rod's end."""
     images = np.nan_to_num(rig.project(rods.vertices), nan=-1e6)
     last = np.zeros(images.shape[:2])
+    of_thread = _of_thread(detections)
     for c, row in np.ndindex(last.shape):
-        detection = detections[row][c]
-        place, far = nearest_place(thinned(detection.take(~_far_wider(detection)))[0], images[c, row])
+        place, far = nearest_place(thinned(of_thread[row][c])[0], images[c, row])
         last[c, row] = place[~far].max(initial=0.0)
     end = np.linalg.norm(images[:, :, -1] - images[:, :, -2], axis=-1)
     edges, lengths = np.where(end >= ASIDE * end.max(axis=0), last, 0.0).max(axis=0), np.atleast_2d(rods.rest_length)
@@ -276,16 +312,26 @@ def shown_length(rods: Configuration, rig: Rig, detections: Sequence[Sequence[De
     return np.array([np.interp(place, np.arange(len(arc)), arc) for place, arc in zip(edges, arcs, strict=True)])
 
 
-def detected_places(rig: Rig, vertices: np.ndarray, pieces: int, detections: Sequence[Sequence[Detection]]) -> np.ndarray:
-    """(A, C S): the share that was detected of the image around each place of rods ``vertices`` (A, V, 3), whose edges are cut
-    into ``pieces``: points of like direction are near, :func:`inside_ends` of what is as thin as the thread, and not
-    :func:`contradicted`."""
-    (places, ways), lines = _images_of_places(rig, vertices), line_trees(detections)
+def detected_places(rig: Rig, vertices: np.ndarray, pieces: int, detections: Sequence[Sequence[Detection]]
+                    ) -> tuple[np.ndarray, np.ndarray]:
+    """Of rods ``vertices`` (A, V, 3) mm whose edges are cut into ``pieces``: (A, C S) the share that was detected of the image
+    around each place, as :func:`sharpened` takes the lines, and (A,) px³: Q of all cameras there."""
+    (places, ways), lines = _images_of_places(rig, vertices), line_trees(_of_thread(detections))
     width = np.nan_to_num([[[detection.width_px] for detection in images] for images in detections])
-    found = lines_at(places, ways, lines)[2]
-    shown = found & inside_ends(places, found & _as_thin(places, detections), width, np.zeros(len(found), dtype=bool))
-    shown &= ~contradicted(places, found, lines)[:, None]
-    return shown.reshape(len(shown), -1, pieces).mean(axis=-1)
+    points, tangents, found = lines_at(places, ways, lines)
+    exact = np.zeros(len(found), dtype=bool)
+    others = merged(places, inside_ends(places, found, width, exact), lines, width)
+    shown = _shown(places, found & ~others, lines, width, exact)
+    length = np.linalg.norm(ways, axis=-1) / len(PLACES)
+    section = (np.cumsum(length.reshape(*length.shape[:2], -1), axis=2).reshape(length.shape) / SECTION_PX).astype(np.int64)
+    there = _between(found.reshape(*found.shape[:2], -1)).reshape(found.shape)
+    weight = length * (found & inside_ends(places, there, width, exact))
+    moment, squares = weight * ((places - points) * normal_to(tangents)).sum(axis=-1), [[[0.0]] for _ in found]
+    for row, c in np.ndindex(found.shape[:2]):
+        total, mean = (np.bincount(section[row, c].ravel(), one[row, c].ravel()) for one in (weight, moment))
+        squares[row].append((mean / np.maximum(total, 1e-9))[total > SECTION_PX / 2] ** 2)
+    scatter = SECTION_PX * np.array([sum(map(np.sum, one)) / max(sum(map(len, one)) - 1, 1) for one in squares])
+    return shown.reshape(len(shown), -1, pieces).mean(axis=-1), scatter
 
 
 def bending_hessian(turns: np.ndarray, length: np.ndarray) -> np.ndarray:
@@ -302,34 +348,3 @@ def bending_hessian(turns: np.ndarray, length: np.ndarray) -> np.ndarray:
     blocks[:, every[:-1], :, every[1:], :] = np.moveaxis(product, 1, 0)
     blocks[:, every[1:], :, every[:-1], :] = np.moveaxis(np.swapaxes(product, -1, -2), 1, 0)
     return np.pad(blocks.reshape(rods, 2 * edges, 2 * edges), ((0, 0), (3, 0), (3, 0)))
-
-
-def line_scatter(rig: Rig, vertices: np.ndarray, detections: Sequence[Sequence[Detection]]) -> np.ndarray:
-    """(A,) px³: Q of rods ``vertices`` (A, V, 3) mm, one of each set of ``detections``, over all cameras."""
-    seen = rig.project(vertices)
-    squares = [np.concatenate([_section_means(seen[c, row], found) ** 2 for c, found in enumerate(images)])
-               for row, images in enumerate(detections)]
-    return SECTION_PX * np.array([found.mean() if len(found) else 0.0 for found in squares])
-
-
-def _section_means(image: np.ndarray, detection: Detection) -> np.ndarray:
-    """(K,) px across the ``image`` (V, 2) of a rod: the mean of the detected points that are near, in each section of it."""
-    points, direction = thinned(detection)
-    step = np.diff(image, axis=0)
-    sound = np.isfinite(step).all(axis=1) & (np.linalg.norm(step, axis=1) > 0)
-    begin, step = image[:-1][sound], step[sound]
-    if not len(points) or not len(step):
-        return np.empty(0)
-    length = np.linalg.norm(step, axis=1)
-    way, first = step / length[:, None], np.cumsum(length) - length
-    nearest = cKDTree(begin + 0.5 * step).query(points)[1]
-    off = points - begin[nearest]
-    along, aside = (off * way[nearest]).sum(axis=1), way[nearest, 0] * off[:, 1] - way[nearest, 1] * off[:, 0]
-    near = (np.abs(aside) <= NEAR_PX) & (np.abs((way[nearest] * direction).sum(axis=1)) >= ALIKE)
-    near &= (along >= -NEAR_PX) & (along <= length[nearest] + NEAR_PX)
-    place = first[nearest] + along
-    near &= (place > place[near].min(initial=np.inf) + detection.width_px) & (place < place[near].max(initial=-np.inf)
-                                                                              - detection.width_px)  # as in inside_ends
-    section = np.maximum(place[near] // SECTION_PX, 0).astype(np.int64)
-    count = np.bincount(section)
-    return np.bincount(section, weights=aside[near])[count >= FEWEST] / count[count >= FEWEST]

@@ -17,7 +17,7 @@ import numpy as np
 
 from doo_ti.contact.surroundings import Surroundings
 from doo_ti.perception.growth import Hypotheses, sampled_directions, select_hypotheses, suppress_similar
-from doo_ti.perception.posterior import detected_places, line_scatter, shown_length, vertex_sigma
+from doo_ti.perception.posterior import detected_places, shown_length, vertex_sigma
 from doo_ti.perception.traced import SAME_LENGTH, whole_rods
 from doo_ti.relaxation.newton import Newton
 from doo_ti.relaxation.relax import relax
@@ -214,17 +214,16 @@ class Search:
         """(R, C) px: lengths of the images of ``rods`` (R, V, 3) mm."""
         return np.linalg.norm(np.diff(self.rig.project(rods), axis=2), axis=-1).sum(axis=-1).T
 
-    def sigma(self, rods: Configuration, start_sigma: np.ndarray | float = 0.0) -> np.ndarray:
-        """(A, V) mm: uncertainty of the marks of one rod of each set, whose edges are cut into pieces, and whose start is as
-        uncertain as ``start_sigma`` (A,) mm. Beyond the lines' end a rod may be longer than the thread, or hidden."""
+    def sigma(self, rods: Configuration, start_covariance: np.ndarray | float = 0.0) -> np.ndarray:
+        """(A, V) mm: uncertainty of the marks of one rod of each set, whose edges are cut into pieces, and whose start has the
+        ``start_covariance`` (A, 3, 3) mm². Beyond the lines' end a rod may be longer than the thread, or hidden."""
         detections, marks = self.maps.detections, rods.vertices[:, :: self.options.pieces]
         noise = self.options.sigma_px, self.options.correlation_px
         if detections is None:
-            return vertex_sigma(self.rig, marks, *noise, start_sigma=start_sigma)
-        detected = detected_places(self.rig, rods.vertices, self.options.pieces, detections)
-        scatter = line_scatter(self.rig, rods.vertices, detections)
+            return vertex_sigma(self.rig, marks, *noise, start_covariance=start_covariance)
+        detected, scatter = detected_places(self.rig, rods.vertices, self.options.pieces, detections)
         beyond = np.maximum(np.insert(np.cumsum(self.rest_length), 0, 0.0) - self.shown_length(rods)[:, None], 0.0)
-        return np.hypot(vertex_sigma(self.rig, marks, *noise, scatter, detected, start_sigma), beyond / np.sqrt(3))
+        return np.hypot(vertex_sigma(self.rig, marks, *noise, scatter, detected, start_covariance), beyond / np.sqrt(3))
 
     def shown_length(self, rods: Configuration) -> np.ndarray:
         """(A,) mm of one rod of each set, to where the lines end; NaN where detections are unknown."""

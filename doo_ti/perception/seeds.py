@@ -50,7 +50,7 @@ class Seed:
     """Where a rod begins."""
 
     point: np.ndarray  # (3,) mm
-    sigma: float  # mm: its standard deviation, root mean square over the coordinates
+    covariance: np.ndarray  # (3, 3) mm²
     inside: bool  # no end of the thread is near the click
 
 
@@ -79,8 +79,9 @@ def seed_from_pixels(rig: Rig, detections: Sequence[Detection], clicks: Mapping[
         far = np.nan_to_num(np.linalg.norm(away, axis=-1).mean(axis=0), nan=1e6)  # NaN: behind a camera
         tried = [(cost + more, seed) for (cost, seed), more in zip(tried, far, strict=True)]
     least, best = min(tried, key=lambda one: one[0])
-    apart = max(np.linalg.norm(seed.point - best.point) * np.exp(-(((cost - least) / ALIKE_COST) ** 2)) for cost, seed in tried)
-    return replace(best, sigma=float(np.hypot(best.sigma, apart / np.sqrt(3))))
+    apart = max(((seed.point - best.point) * np.exp(-(((cost - least) / ALIKE_COST) ** 2)) for cost, seed in tried),
+                key=np.linalg.norm)
+    return replace(best, covariance=best.covariance + np.outer(apart, apart))
 
 
 def fit_better(rig: Rig, others: Mapping[str, Rig], detections: Sequence[Detection], clicks: Mapping[int, Sequence[float]]
@@ -228,8 +229,7 @@ def _settled(rig: Rig, seen: Sequence[_Place], curve: np.ndarray, spread: float)
                 slope = slope + row * (way @ (place.pixel - image[0])) / sigma**2
         information = information + 1e-12 * np.trace(information) * np.eye(3)  # of places beside each other rounding is left
         point = point + np.linalg.solve(information, slope)
-    sigma = float(np.sqrt(np.trace(np.linalg.inv(information)) / 3))
-    return Seed(point, sigma, seen[0].along == INSIDE_PX)
+    return Seed(point, np.linalg.inv(information), seen[0].along == INSIDE_PX)
 
 
 def _depth(rig: Rig, seen: Sequence[_Place]) -> tuple[np.ndarray, float, float]:

@@ -159,7 +159,7 @@ class Tracker:
 
     @typed
     def see(self, detected: list[Detection], point: ArrayLike, direction: ArrayLike, far: Motion | None = None,
-            start_sigma: float = 0.0) -> TrackedFrame:
+            start_covariance: ArrayLike = 0.0) -> TrackedFrame:
         """The rod in the next frame.
 
         detected   of each camera; a detection without points means that the camera sees no thread
@@ -167,19 +167,19 @@ class Tracker:
         direction  (3,) of e⁰; any length
         far        motion of the far clamp since the frame before: the rod predicted from it is one more initial shape. Tangents
                    only; the start moves with the seed
-        start_sigma  mm: standard deviation of ``point``, as :func:`doo_ti.perception.perceive.perceive` takes it
+        start_covariance  (3, 3) mm² of ``point``, as :func:`doo_ti.perception.perceive.perceive` takes it
 
         Raises InputError as :func:`doo_ti.perception.perceive.perceive` does.
         """
         search = self._search_in("Tracker.see", detected, point, direction)
         if search is None:
             return self._lost()
-        sigma, how = np.full(1, start_sigma), How.TRACKED
-        rod = None if self._last is None else self._relaxed(search, self._starts(search, far), sigma)
+        covariance, how = np.broadcast_to(start_covariance, (1, 3, 3)), How.TRACKED
+        rod = None if self._last is None else self._relaxed(search, self._starts(search, far), covariance)
         if rod is None or not self._goes_on(rod):
             self._usual = np.inf
             seeded = perceive(search.maps, search.rig, search.point, search.direction, self._rest_length, self._material,
-                              up=self._up, options=self._search, surroundings=self._surroundings, start_sigma=sigma)
+                              up=self._up, options=self._search, surroundings=self._surroundings, start_covariance=covariance)
             self._threads += seeded.thread_length[np.isfinite(seeded.thread_length)].tolist()
             if rod is None or _is_better(seeded, rod):
                 rod, how = seeded, How.SEEDED
@@ -190,7 +190,7 @@ class Tracker:
 
     @typed
     def revised(self, frame: TrackedFrame, after: TrackedFrame, detected: list[Detection], point: ArrayLike,
-                direction: ArrayLike, start_sigma: float = 0.0) -> TrackedFrame:
+                direction: ArrayLike, start_covariance: ArrayLike = 0.0) -> TrackedFrame:
         """``frame``, or the rod of the frame ``after`` it, relaxed in its images, where that is better. Other arguments as of
         :meth:`see`, which does not depend on this. Raises InputError as that does."""
         search = self._search_in("Tracker.revised", detected, point, direction)
@@ -198,7 +198,8 @@ class Tracker:
             return frame
         tangents = unit_vectors(np.diff(after.vertices, axis=0))
         edges = quaternion_from_matrix(bishop_frames(tangents, search.first[0, :, 1]))
-        rod = self._relaxed(search, np.stack([edges, _aimed(edges, search.direction)]), np.full(1, start_sigma))
+        covariance = np.broadcast_to(start_covariance, (1, 3, 3))
+        rod = self._relaxed(search, np.stack([edges, _aimed(edges, search.direction)]), covariance)
         better = self._sound(rod) and not rod.energy_vis[0] >= (1 - BETTER) * frame.energy_vis
         return self._frame(rod, How.TRACKED, search) if better else frame
 
@@ -214,13 +215,13 @@ class Tracker:
         return Search(distance_maps([[found for found in detected if found.count]]), self._rig.only(seeing), point, direction,
                       self._rest_length, self._material, self._up, self._search, self._surroundings.for_seeds(point))
 
-    def _relaxed(self, search: Search, starts: np.ndarray, start_sigma: np.ndarray) -> Perception:
+    def _relaxed(self, search: Search, starts: np.ndarray, start_covariance: np.ndarray) -> Perception:
         """The rod relaxed in a frame, from the best of its initial shapes ``starts`` (K, E, 4), the point where it begins as
-        uncertain as ``start_sigma`` (1,) mm. Its configuration is the one that was relaxed, not sharpened."""
+        uncertain as ``start_covariance`` (1, 3, 3) mm². Its configuration is the one that was relaxed, not sharpened."""
         longer = replace(search, options=replace(search.options, growing_iterations=ITERATIONS))
         rested = longer.nearly_relaxed(Hypotheses(np.zeros(len(starts), dtype=np.int64), starts, np.zeros(len(starts))))
         alone, _ = explained(search, *search.relaxed(rested.take(np.array([np.argmin(rested.energy_vis)]))))
-        found = perception_of(search, alone, np.zeros(1, dtype=np.int64), np.full((1, 0), -1), start_sigma)
+        found = perception_of(search, alone, np.zeros(1, dtype=np.int64), np.full((1, 0), -1), start_covariance)
         return replace(found, configuration=alone.configuration)
 
     def _starts(self, search: Search, far: Motion | None) -> np.ndarray:
@@ -247,11 +248,11 @@ class Tracker:
 
     def _sound(self, rod: Perception) -> bool:
         """Whether the rod has converged on the detected line, as far as any camera shows it: in two cameras, or in one of three
-        where it is likely and explains all that the others detect, from which something hides a piece."""
+        where it explains all that they detect: something hides a piece from the others, or the rod is too long."""
         if rod.status[0] != Status.CONVERGED or rod.verdict[0] == PerceptionVerdict.NOT_FOUND:
             return False
-        whole = rod.verdict[0] <= PerceptionVerdict.LIKELY and (rod.coverage[0] >= COVERED).all()
-        needed = 1 if whole and len(rod.coverage[0]) > FEWEST_CAMERAS else FEWEST_CAMERAS
+        whole = len(rod.coverage[0]) > FEWEST_CAMERAS and (rod.coverage[0] >= COVERED).all()
+        needed = 1 if whole else FEWEST_CAMERAS
         return np.sort(rod.shown_error[0])[needed - 1] <= self._options.lost_px
 
     def _goes_on(self, rod: Perception) -> bool:

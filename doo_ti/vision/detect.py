@@ -34,6 +34,7 @@ from doo_ti.vision.detection import (
     DetectionOptions,
     chains_of,
     cropped,
+    edges_of,
     goes_on,
     image_part,
     in_whole_pixels,
@@ -48,6 +49,7 @@ from doo_ti.vision.ridge import (
     WORKING_WIDTH,
     Appearance,
     Curvature,
+    Ridges,
     appearance,
     as_colour,
     between_edges,
@@ -102,6 +104,7 @@ def _canny_line(image: np.ndarray, look: Appearance, least_contrast: float, shor
 
 
 SIGMA_PER_WIDTH, SMALLEST_SIGMA = 0.35, 0.8  # px of smoothing: a bar gets a single ridge, and neighbouring strands stay apart
+HALF = 0.5  # of the strength near by
 WEAK, STRONG = 0.2, 0.5  # shares of the typical strength: all of a piece of thread exceeds the first, some of it the second
 WIDTH_RATIO, FAINTEST = 1.5, 0.4
 """Largest ratio of widths, which differ with depth, and least ratio of mean strengths, of a piece and the most distinct one."""
@@ -183,12 +186,29 @@ def _ridge_line(image: np.ndarray, look: Appearance, least_contrast: float, shor
     edges, about = edges_about(image, ridges.point, ridges.normal, look.polarity, look.width_px)
     sound = about & of_a_thread(edges, ridges.strength) & (np.abs(ridges.offset + edges.shift) <= REACH_PX)
     ridges, width = ridges.moved(edges.shift)[sound], edges.width[sound]
+    within = _within_ends(ridges, image.shape, curvature.sigma)
+    ridges, width = ridges[within], width[within]
     piece = pieces(ridges, max(certain, STRONG * typical), max(shortest_px, look.width_px))
     kept = np.flatnonzero(piece)
     kept = kept[_alike(piece[kept], width[kept], ridges.strength[kept])]
     ridges = ridges[kept]
     return (Detection(ridges.point, ridges.tangent, ridges.strength, look.width_px, look.polarity, image.shape, "ridge"),
             len(np.unique(piece[kept])))
+
+
+def _within_ends(ridges: Ridges, shape: tuple[int, int], sigma: float) -> np.ndarray:
+    """(N,) bool: points that are not beyond an end of their line, where it has HALF of its strength after smoothing by σ px.
+    Weak points between others, as where the background is brighter, are of a line that goes on."""
+    at, strength, weak = (ridges.row + 1, ridges.column + 1), *np.zeros((2, shape[0] + 2, shape[1] + 2), dtype=np.float32)
+    strength[at] = ridges.strength
+    along = ridges.point + sigma * np.array([-2, -1, 1, 2])[:, None, None] * ridges.tangent + 1
+    column, row = np.clip(np.rint(along), 0, np.array(strength.shape[::-1]) - 1).astype(int).transpose(2, 0, 1)
+    weak[at] = ridges.strength < HALF * cv2.dilate(strength, np.ones((3, 3), dtype=np.uint8))[row, column].max(axis=0)
+    part, line = (cv2.connectedComponents(kind.astype(np.uint8))[1] for kind in (weak, (strength > 0) & (weak == 0)))
+    around = [line[at[0] + down, at[1] + right] for down in (-1, 0, 1) for right in (-1, 0, 1)]
+    touching = np.unique(np.stack([np.tile(part[at], 9), np.concatenate(around)]), axis=1)
+    lines = np.bincount(touching[0, touching.all(axis=0)], minlength=part.max() + 1)
+    return (part[at] == 0) | (lines[part[at]] != 1)
 
 
 def _alike(piece: np.ndarray, width: np.ndarray, strength: np.ndarray) -> np.ndarray:
@@ -223,7 +243,7 @@ def _continued(image: np.ndarray, usual: Detection) -> Detection:
         line = _wide_lines(dark, width, np.concatenate([found.points, *own]), usual.width_px)
         added = _joined(line, own, width, dark)
         if added:
-            found = found.take(~_edges_of(found.points, own, added, width)).with_parts(added)
+            found = found.take(~edges_of(found.points, own, added, width)).with_parts(added)
             own = chains_of(*thinned(found))
     return found
 
@@ -264,15 +284,6 @@ def _joined(line: Detection, own: list[np.ndarray], width: float, dark: np.ndarr
         part = line.take(tree.query(chain)[1])
         parts.append(replace(part, width=np.full(part.count, np.median(part.width))))
         known.append(chain)
-
-
-def _edges_of(points: np.ndarray, own: list[np.ndarray], parts: list[Detection], width: float) -> np.ndarray:
-    """(N,) bool: points of chains that lie beside the ``parts`` as their edges do, from end to end."""
-    line = cKDTree(np.concatenate([part.points for part in parts]))
-    edges = [chain for chain in own if line.query(chain)[0].max() <= width]
-    if not edges:
-        return np.zeros(len(points), dtype=bool)
-    return cKDTree(np.concatenate(edges)).query(points)[0] <= 1.0
 
 
 # --- masks --------------------------------------------------------------------------------------------------------

@@ -265,12 +265,11 @@ def misread(rig: Rig, vertices: np.ndarray, detections: list[list[Detection]]) -
 def nearest_place(points: np.ndarray, image: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """(P,) the place of a rod's ``image`` (V, 2) nearest to each point, in edges from its start, and whether it is farther than
     NEAR_PX."""
-    step = np.diff(image, axis=0)
-    off = points[:, None] - image[:-1]
-    along = np.clip((off * step).sum(axis=-1) / np.maximum((step**2).sum(axis=-1), 1e-12), 0.0, 1.0)
-    apart = np.linalg.norm(off - along[..., None] * step, axis=-1)
-    edge = apart.argmin(axis=1)
-    return edge + along[np.arange(len(points)), edge], apart.min(axis=1) > NEAR_PX
+    (right, down), (x, y) = np.diff(image, axis=0).T, (points.T[:, :, None] - image[:-1].T[:, None])
+    along = np.clip((x * right + y * down) / np.maximum(right**2 + down**2, 1e-12), 0.0, 1.0)
+    apart = (x - along * right) ** 2 + (y - along * down) ** 2
+    edge, every = apart.argmin(axis=1), np.arange(len(points))
+    return edge + along[every, edge], apart[every, edge] > NEAR_PX**2
 
 
 def _passed_twice(image: np.ndarray) -> float:

@@ -20,7 +20,7 @@ from doo_ti.rod.frames import arc_lengths, curve_length, placed, unit_vectors
 from doo_ti.rod.types import Configuration
 from doo_ti.vision.cameras import Rig
 from doo_ti.vision.detection import NEAR_PX, NEXT_PX, SHORTEST_PX, Detection, chains_of, outward, single, thinned
-from doo_ti.vision.distance_map import ALIKE, MOST_IMAGE_PX, left_out
+from doo_ti.vision.distance_map import ALIKE, MOST_IMAGE_PX, left_out, nearest_place
 
 WIDEST_GAP = 0.3  # of the image's height: the longest gap that a path crosses
 FORWARD = 0.64  # least cosine between the direction of an end and the way to the next
@@ -234,7 +234,10 @@ def _resampled(pieces: list[np.ndarray], cost: float, whole: float) -> ImagePath
 NEIGHBOURS = 8  # points nearest to a place that are looked at: the nearest may be of a strand that crosses there
 
 
-def line_trees(detections: Sequence[Sequence[Detection]]) -> list[list[tuple[np.ndarray, np.ndarray, cKDTree | None]]]:
+Lines = list[list[tuple[np.ndarray, np.ndarray, cKDTree | None]]]  # of :func:`line_trees`
+
+
+def line_trees(detections: Sequence[Sequence[Detection]]) -> Lines:
     """Of each detection its points (N, 2), about one for each pixel of line, their directions, and a tree to search them; None
     without any."""
     lines = [[thinned(detection) for detection in images] for images in detections]
@@ -284,11 +287,9 @@ def _lines_beyond(line: Chains, wide: float, image: np.ndarray) -> np.ndarray:
     return best
 
 
-def lines_at(places: np.ndarray, ways: np.ndarray, lines: list[list[tuple[np.ndarray, np.ndarray, cKDTree | None]]]
-             ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The detected lines, of :func:`line_trees`, at ``places`` (A, C, …, 2) px of images that run along ``ways`` there: their
-    points and unit tangents (A, C, …, 2), zero where there is none, and (A, C, …) bool: whether a point of like direction is
-    near."""
+def lines_at(places: np.ndarray, ways: np.ndarray, lines: Lines) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The detected lines at ``places`` (A, C, …, 2) px of images that run along ``ways`` there: their points and unit tangents
+    (A, C, …, 2), zero where there is none, and (A, C, …) bool: whether a point of like direction is near."""
     points, tangents = np.zeros((2, *places.shape))
     found = np.zeros(places.shape[:-1], dtype=bool)
     for row, c in np.ndindex(places.shape[:2]):
@@ -310,8 +311,7 @@ def lines_at(places: np.ndarray, ways: np.ndarray, lines: list[list[tuple[np.nda
     return points, tangents, found
 
 
-def contradicted(places: np.ndarray, found: np.ndarray, lines: list[list[tuple[np.ndarray, np.ndarray, cKDTree | None]]]
-                 ) -> np.ndarray:
+def contradicted(places: np.ndarray, found: np.ndarray, lines: Lines) -> np.ndarray:
     """(A, E, K) bool: ``places`` (A, C, E, K, 2) px at which some camera has not ``found`` (A, C, E, K) the rod's line, but one
     that leaves the rod there. The end of a rod that is longer than the thread in the images folds along the line of sight of
     some cameras, and leaves the line in others: which of them show it is not known."""
@@ -320,23 +320,21 @@ def contradicted(places: np.ndarray, found: np.ndarray, lines: list[list[tuple[n
         (points, _, tree), lost = lines[row][c], ~found[row, c].ravel()
         if tree is None or not lost.any():
             continue
-        here = places[row, c].reshape(-1, 2)
-        apart, nearest = cKDTree(here).query(points)
-        between = 0.5 * np.linalg.norm(np.diff(here, axis=0, append=here[-1:]), axis=1)
-        out = left_out(points, apart > np.hypot(NEAR_PX, np.maximum(between, np.roll(between, 1)))[nearest])
+        nearest, far = nearest_place(points, places[row, c].reshape(-1, 2))
         stretch = np.cumsum(np.diff(lost, prepend=lost[0]))  # places one after the other that are lost, or are not
-        against[row] |= (lost & np.isin(stretch, stretch[nearest[out]])).reshape(against.shape[1:])
+        leaving = stretch[np.rint(nearest[left_out(points, far)]).astype(int)]
+        against[row] |= (lost & np.isin(stretch, leaving)).reshape(against.shape[1:])
     return against
 
 
-def inside_ends(places: np.ndarray, found: np.ndarray, width: np.ndarray, exact: np.ndarray) -> np.ndarray:
-    """(A, C, E, K) bool: ``places`` (A, C, E, K, 2) px of rods' images that are farther than the ``width`` (A, C, 1) px of the
-    line from where it is ``found`` (A, C, E, K) last, and from where it is first unless that is ``exact`` (A,). Nearer to its
-    end a line is drawn aside by the edges of what holds it, or of what is behind it."""
-    flat = places.reshape(*places.shape[:2], -1, 2)
-    along = np.pad(np.cumsum(np.linalg.norm(np.diff(flat, axis=2), axis=-1), axis=2), ((0, 0), (0, 0), (1, 0)))
-    there = found.reshape(along.shape)
-    first = np.where(there, along, np.inf).min(axis=2, keepdims=True)
-    last = np.where(there, along, -np.inf).max(axis=2, keepdims=True)
-    inside = (along <= last - width) & ((along >= first + width) | exact[:, None, None])
-    return inside.reshape(found.shape)
+def merged(places: np.ndarray, inside: np.ndarray, lines: Lines, width: np.ndarray) -> np.ndarray:
+    """(A, C, E, K) bool: ``places`` (A, C, E, K, 2) px within the ``width`` (A, C, 1) px of the line of other strands, which
+    merge with it and draw it aside: those beside places ``inside`` the rod's line. Elsewhere it leaves its own line."""
+    near = np.zeros(inside.shape, dtype=bool)
+    for row, c in np.ndindex(near.shape[:2]):
+        points = lines[row][c][0]
+        nearest, far = nearest_place(points, places[row, c].reshape(-1, 2))
+        other = points[far & inside[row, c].ravel()[np.rint(nearest).astype(int)]]
+        if len(other):
+            near[row, c] = cKDTree(other).query(places[row, c])[0] <= NEAR_PX + width[row, c]
+    return near

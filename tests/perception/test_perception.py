@@ -231,7 +231,7 @@ def test_an_end_that_kinks_is_uncertain_by_that(scene):
     way, length = unit_vectors(edge), np.linalg.norm(edge, axis=1)[:, None]
     bent[:, -1] = rods[:, -2] + length * unit_vectors(way + across(way))
     off = np.linalg.norm(bent[:, -1] - rods[:, -1], axis=1)
-    smooth, kinked = (vertex_sigma(rig, own, 0.1, 5.0, start_sigma=0.5) for own in (rods, bent))
+    smooth, kinked = (vertex_sigma(rig, own, 0.1, 5.0, start_covariance=0.75 * np.eye(3)) for own in (rods, bent))
     assert (smooth < 1.0).all() and (kinked[:, :-1] < 1.0).all() and (kinked[:, -1] > 0.6 * off / np.sqrt(3)).all()
 
 
