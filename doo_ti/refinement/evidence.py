@@ -158,22 +158,14 @@ class Evidence:
         """(D,) ln of the probability density of each observation, given all others, at these sizes: half of the decrease of F
         when that observation is left out. ``linear``: the residuals from which the moments follow."""
         own, slope, squares, constant = integrated(self.unknowns, linear, scales)
-        hessian, total = self._together(own, slope, scales)
-        without, rest = hessian - own, total - slope
-        decrease = squares - total @ np.linalg.solve(hessian, total) + np.einsum(
-            "dp,dp->d", rest, np.linalg.solve(without, rest[..., None])[..., 0])
-        return -0.5 * (decrease + constant + np.linalg.slogdet(hessian)[1] - np.linalg.slogdet(without)[1])
+        rest = others(self.unknowns, own, slope, self.offset, scales)
+        return -0.5 * (given(rest, own, slope, squares + constant) - given(rest, 0.0, 0.0, 0.0))
 
     def without_each(self, linear: tuple[Residuals, ...], scales: Scales) -> np.ndarray:
         """(D, P) the most probable step without each observation in turn, at these sizes."""
         own, slope, _, _ = integrated(self.unknowns, linear, scales)
-        hessian, total = self._together(own, slope, scales)
-        return -np.linalg.solve(hessian - own, (total - slope)[..., None])[..., 0]
-
-    def _together(self, own: np.ndarray, slope: np.ndarray, scales: Scales) -> tuple[np.ndarray, np.ndarray]:
-        """H (P, P) and the slope (P,) of all observations and the prior, from those of each (:func:`integrated`)."""
-        precision, _ = self.unknowns.precision(scales)
-        return precision + own.sum(axis=0), slope.sum(axis=0) + precision @ self.offset
+        hessian, slope = others(self.unknowns, own, slope, self.offset, scales)
+        return -np.linalg.solve(hessian, slope[..., None])[..., 0]
 
     def best(self, scales: Scales, steps: int = STEPS) -> Scales:
         """The sizes with the largest evidence that is reached from ``scales``, each within a factor e² of its present value."""
@@ -307,3 +299,20 @@ def integrated(unknowns: Unknowns, linear: tuple[Residuals, ...], scales: Scales
     squares = sum(w * (k.values**2).sum(axis=1) for w, k in pairs) - (slope_z * (inner @ slope_z)).sum(axis=(1, 2))
     noise = sum(k.count * np.log(2 * np.pi * scales[k.scale] ** 2) for k in linear)
     return own, slope, squares, noise - np.linalg.slogdet(inner)[1] + np.log(variance).sum()
+
+
+def others(unknowns: Unknowns, own: np.ndarray, slope: np.ndarray, offset: np.ndarray, scales: Scales
+           ) -> tuple[np.ndarray, np.ndarray]:
+    """(D, P, P) and (D, P) the sums of B and s (:func:`integrated`) of all others than each observation, and of the prior, from
+    whose mean the unknowns are ``offset`` (P,) away."""
+    precision, _ = unknowns.precision(scales)
+    return precision + own.sum(axis=0) - own, slope.sum(axis=0) + precision @ offset - slope
+
+
+def given(rest: tuple[np.ndarray, np.ndarray], own: np.ndarray | float, slope: np.ndarray | float, value: np.ndarray | float
+          ) -> np.ndarray:
+    """(D,) −2 ln of the density of each observation given the ``rest``, all :func:`others`, up to what only these say; its own
+    B, s, and c + q = ``value``."""
+    hessian, slope = rest[0] + own, rest[1] + slope
+    return value - np.einsum("dp,dp->d", slope, np.linalg.solve(hessian, slope[..., None])[..., 0]) + np.linalg.slogdet(
+        hessian)[1]
