@@ -23,7 +23,6 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy.interpolate import CubicSpline
 
 from doo_ti.refinement.theta import Scales
 
@@ -85,8 +84,10 @@ class Mesh:
         return cls(edge, first + edge * np.arange(edges + 1), slope, first_slope)
 
     def at(self, place: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """(X, N + 1) weights of the vertices at arc lengths ``place`` (X,), and their derivatives by u = (s − s_0)/h: by a cubic
-        spline, but linear in the outermost intervals and beyond, which a clip may hold."""
+        """(X, N + 1) weights of the vertices at arc lengths ``place`` (X,), and their derivatives by u = (s − s_0)/h: of a
+        cubic spline, but linear in the outermost intervals and beyond, which a clip may hold."""
+        from scipy.interpolate import CubicSpline
+
         u, count = (place - self.place[0]) / self.edge, len(self.place)
         low, one = np.clip(np.floor(u).astype(int), 0, count - 2), np.eye(count)
         slopes = one[low + 1] - one[low]
