@@ -50,13 +50,6 @@ STRAIGHT = 0.1
 """That below which a rod counts as straight: it rolls freely to anywhere, and the held rod of unknown roll contains it."""
 
 
-def turned(rows: np.ndarray, angle: np.ndarray) -> np.ndarray:
-    """(…, 2 K) ``rows`` R, R the rotations by ``angle`` (…, K) of each pair of columns."""
-    pairs, c, s = rows.reshape(*rows.shape[:-1], -1, 2), np.cos(angle), np.sin(angle)
-    both = np.stack([c * pairs[..., 0] + s * pairs[..., 1], c * pairs[..., 1] - s * pairs[..., 0]], axis=-1)
-    return both.reshape(*both.shape[:-2], -1)
-
-
 def rolled(fitted: Fitted, curvature: str) -> Iterator[tuple[Fit, State]]:
     """The fit in which every observation has COPIES rows, with that kind of rest curvature, and where it may begin: at a
     finished fit of straight rods."""
@@ -96,10 +89,10 @@ def _of_rows(fit: Fit, rows: np.ndarray, roll: np.ndarray, copies: int = 1) -> F
 
 def in_turned_frames(scatter: np.ndarray, roll: np.ndarray) -> np.ndarray:
     """``scatter`` (R, POSE) of the same clamps, not rolled, in frames that are rolled by ``roll`` (R,)."""
-    found, across = scatter.copy(), [column for column in range(POSE) if column % 3]
-    found[:, 0] = 0.0
-    found[:, across] = turned(scatter[:, across], roll[:, None])
-    return found
+    found, c, s = scatter.reshape(-1, POSE // 3, 3).copy(), np.cos(roll)[:, None], np.sin(roll)[:, None]
+    found[..., 1], found[..., 2] = c * found[..., 1] + s * found[..., 2], c * found[..., 2] - s * found[..., 1]
+    found[:, 0, 0] = 0.0
+    return found.reshape(scatter.shape)
 
 
 def most_probable(fitted: Fitted) -> Fitted:
