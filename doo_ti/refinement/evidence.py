@@ -31,7 +31,6 @@ interval is about four."""
 MISSING = 0.8
 """Largest share of the information about an unknown that may be missing because rolls are not known: far from the optimum the
 second derivative may have any sign."""
-FARTHEST = 2.0  # largest change of the logarithm of a size in one search
 
 
 @dataclass(frozen=True)
@@ -151,7 +150,7 @@ class Evidence:
         return -np.linalg.solve(hessian, slope[..., None])[..., 0]
 
     def best(self, scales: Scales, steps: int = STEPS) -> Scales:
-        """The sizes with the largest evidence that is reached from ``scales``, each within a factor e² of its present value."""
+        """The sizes with the largest evidence that is reached from ``scales``."""
         if not scales.learned.any():
             return scales
 
@@ -162,8 +161,7 @@ class Evidence:
         low, high = scales.bounds
         begin = np.clip(scales.free, low, high)
         hessian = np.eye(len(begin)) if scales.hessian is None else scales.hessian
-        free, hessian = minimised(objective, begin, (np.maximum(low, begin - FARTHEST), np.minimum(high, begin + FARTHEST)),
-                                  hessian, steps, ENOUGH)
+        free, hessian = minimised(objective, begin, (low, high), hessian, steps, ENOUGH)
         return replace(scales.at(free), hessian=hessian)
 
     def _solved(self, hessian: np.ndarray, slope: np.ndarray, precision: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
