@@ -218,10 +218,8 @@ class Fit:
             at_kink = among and share < SHORTENED and gained < self.tolerance[1] and left == 0.0
             if done := at_kink and bool((np.abs(change) <= AT_KINK).all()):
                 break
-            if share < LEAST_SHARE and (settled or left or not among):  # rods snap, or rounding decides whether F rises
+            if share == 0.0 or share < LEAST_SHARE and (settled or left or not among):  # rods snap, or rounding decides on F
                 done = settled
-                break
-            if share == 0.0:
                 break
             now = settled or tried == 1 or self.unknowns.rod.rolls_known  # others would spend most of the time on it
             trial, again = self._misfits_relaxed_again(trial) if now else (trial, False)
