@@ -14,7 +14,17 @@ import numpy as np
 from doo_ti.contact.obstacle_file import described
 from doo_ti.contact.surroundings import Surroundings
 from doo_ti.learning.chunks import chunk_path, read_columns, read_rows, write_rows
-from doo_ti.learning.terms import Hypotheses, Pairs, check_ways, hypotheses_of, nearest, pairs_from_labels, resolved, scores
+from doo_ti.learning.terms import (
+    Hypotheses,
+    Pairs,
+    check_ways,
+    hypotheses_of,
+    nearest,
+    pairs_from_labels,
+    resolved,
+    scores,
+    started,
+)
 from doo_ti.motion.journey import Journey
 from doo_ti.motion.path import motion_between
 from doo_ti.relaxation.contact_table import require_clear
@@ -24,7 +34,7 @@ from doo_ti.relaxation.relax import PRECISIONS, relax
 from doo_ti.rod.grid import Grid
 from doo_ti.rod.metric import distance
 from doo_ti.rod.observations import Observations
-from doo_ti.rod.start import held_spins, observation_clamps, start_configuration
+from doo_ti.rod.start import observation_clamps
 from doo_ti.rod.types import LARGEST, Clamp, Clamps, Configuration, Material, Solution, Status, sticky
 from doo_ti.system.arguments import typed
 from doo_ti.system.errors import InputError, require_whole
@@ -143,10 +153,7 @@ class Experiment:
     @property
     def started(self) -> tuple[Configuration, Clamps]:
         """The starts of the H rods, and their clamps."""
-        rows, spin = self.hypotheses.observation, self.hypotheses.spin
-        observed, held = self.observations.take(rows), self.clamps.take(rows)
-        held = held if spin is None else held_spins(observed, held, spin)
-        return start_configuration(observed, held, self.hypotheses.turns), held
+        return started(self.observations, self.clamps, self.hypotheses)
 
     @cached_property
     def rods(self) -> tuple[np.ndarray, np.ndarray]:

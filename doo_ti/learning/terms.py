@@ -17,8 +17,8 @@ import numpy as np
 from doo_ti.io.arrays import read_csv
 from doo_ti.rod.frames import is_half_turn
 from doo_ti.rod.observations import Observations
-from doo_ti.rod.start import held_spins, turn_hypotheses
-from doo_ti.rod.types import Clamp, Clamps
+from doo_ti.rod.start import held_spins, start_configuration, turn_hypotheses
+from doo_ti.rod.types import Clamp, Clamps, Configuration
 from doo_ti.system.arguments import typed
 from doo_ti.system.errors import InputError
 from doo_ti.system.files import csv_text, write_text
@@ -220,6 +220,14 @@ def hypotheses_of(observations: Observations, clamps: Clamps, spins: int = 0) ->
     observed = observations.take(index)
     rows, turns = turn_hypotheses(observed, held_spins(observed, clamps.take(index), spin))
     return Hypotheses(index[rows], turns, spin[rows])
+
+
+def started(observations: Observations, clamps: Clamps, hypotheses: Hypotheses) -> tuple[Configuration, Clamps]:
+    """The starts of the H rods, and their clamps."""
+    observed, held = observations.take(hypotheses.observation), clamps.take(hypotheses.observation)
+    if hypotheses.spin is not None:
+        held = held_spins(observed, held, hypotheses.spin)
+    return start_configuration(observed, held, hypotheses.turns), held
 
 
 def scores(distance: np.ndarray, sound: np.ndarray, weight: np.ndarray, of_rod: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
