@@ -244,6 +244,8 @@ def force_in_newton(force, weight_per_length, weight=1.0):
 
 LEAST_MM, MOST_MM = 10.0, 20_000.0  # lengths of rods that raise no doubt about the unit
 LEAST_NEWTON, MOST_NEWTON = 1e-6, 1e3  # N/m: the finest suture weighs 1e-5, a steel bar 40 mm thick 100
+LEAST_RISE_MM, MOST_RISE_MM = 0.1, 1e5
+"""(EI/w)^(1/3), the length over which its weight bends a rod: 10 mm of a hair, 6 m of that bar."""
 MOST_STIFF = 3e6
 """4 π EI over the square of the mass per length, E/ρ² of a solid round rod in SI: 3e3 of steel, 1.5e5 of carbon fibre, and of a
 tube of it with walls of a tenth of its radius ten times as much."""
@@ -328,12 +330,15 @@ def stiffness_doubt(stiffness: ArrayLike | None, weight: ArrayLike | None) -> st
 
 def doubt_weight(source: str, stiffness: np.ndarray, weight: np.ndarray) -> None:
     """Warn of rods of that ``stiffness`` EI in N m² whose ``weight`` in N/m is implausible, or beside the other."""
+    rise = np.cbrt(1e9 * stiffness / weight)
     light, heavy = weight.min(), weight.max()
     if light < LEAST_NEWTON or heavy > MOST_NEWTON:
         _warn(source, "weight_per_length", f"{light if light < LEAST_NEWTON else heavy:g} N/m",
               "give N/m: kg/m times 9.80665, or g/m times 0.00980665")
-    elif doubt := stiffness_doubt(stiffness, weight):
-        _warn(source, "EI, weight_per_length", *doubt.split("; ", 1))
+    elif rise.min() < LEAST_RISE_MM or rise.max() > MOST_RISE_MM:
+        short = rise.min() < LEAST_RISE_MM
+        _warn(source, "EI, weight_per_length", f"a rod that its weight bends over {rise.min() if short else rise.max():.3g} mm",
+              "give EI in N m², of which one is 1e6 N mm², and N/m")
 
 
 def _warn(source: str, field: str, problem: str, remedy: str) -> None:
