@@ -26,6 +26,7 @@ from doo_ti.rod.types import Clamp, Clamps, Configuration, Material, Solution
 POSE = 12  # numbers of two poses: rotations of the start and end clamps, displacements of the start and the end; rad and mm
 TURNS = 12  # numbers of the constant errors of clamps: rotations in the reported frames' axes, and in the world's
 SHORTENED = (1.0, 0.5, 0.25, 0.0)  # shares of the expected length of a clip with which a fit may begin
+TWIST = 3  # of these that which turns the end about its tangent
 INWARDS = (1.0, -1.0)  # of the start's tangent and of the end's: into the rod
 
 

@@ -22,7 +22,7 @@ from scipy.ndimage import generate_binary_structure, minimum_filter
 from doo_ti.refinement.evidence import given, integrated, others
 from doo_ti.refinement.fit import ODD, POSED, ROUGH, Fit, Fitted, State
 from doo_ti.refinement.residuals import Comparison
-from doo_ti.refinement.rolls import bent, kept, rolled, swivelling
+from doo_ti.refinement.rolls import Curved, bent, curved, kept, rolled, swivelling
 from doo_ti.refinement.theta import Scales, Theta, common_rod
 from doo_ti.refinement.unknowns import Unknowns, Values
 from doo_ti.rod.grid import Grid
@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 
 TRIED_FIRST = 4  # steps from each of several starts; only the best of them are continued
 NEAR = 30.0  # of these, −2 ln of the evidence above the best up to which others are continued too
-HOPELESS = 100.0  # the same above other kinds of rods, from which on a kind of curved rods is not continued
+HOPELESS = 100.0  # rods that roll freely are not tried from other starts where the first ends so far behind rods that are held
 SAME = 0.3  # standard errors: fits whose Θ differ by less are one optimum
 COMPARED = 5  # steps of each of two fits before they are compared, without the rods that count in one alone
 FIRST_TURN = 0.3
@@ -92,10 +92,13 @@ def searched(unknowns: Unknowns, thetas: Sequence[Theta], clip: np.ndarray, scal
         unmeasured = replace(rod, observations=replace(seen, total_twist=None))
         found = _ordered(found, searched(replace(unknowns, rod=unmeasured), thetas, clip, scales, options))
     if straight_first:
-        kinds = [found[:1]] if options.curvature == "auto" else []
-        for begun in (rolled, kept, swivelling):
-            kinds += filter(None, [_of_kind(begun(found[0], unknowns.curvature), kinds, steps)])
-        found = _ordered(*kinds)
+        begun = curved(found[0], unknowns.curvature)
+        fit, state = rolled(begun)
+        any_roll = [fit.run(state, steps)]
+        same_roll = _kept(begun, min(found[0], *any_roll, key=lambda one: one.rank), steps)
+        best = min(found[0], *any_roll, *same_roll, key=lambda one: one.rank)
+        free = _swivelling(found[0], best, unknowns.curvature, steps)
+        found = _ordered(*([found[:1]] if options.curvature == "auto" else []), any_roll, same_roll, free)
     return found
 
 
@@ -130,19 +133,24 @@ def _from_twists(found: list[Fitted], scales: Scales, steps: int) -> list[Fitted
     return found
 
 
-def _of_kind(begun: Iterable[tuple[Fit, State]], kinds: list[list[Fitted]], steps: int) -> list[Fitted]:
-    """Optima of one kind of curved rods, whose fits begin so; none where these are far behind other ``kinds``. Rods that roll
-    freely and became straight say nothing that a fit of straight ones does not."""
-    tried = [one for fit, state in begun if _counts(one := fit.run(state, TRIED_FIRST))]
-    best = min((one for kind in kinds for one in kind), key=lambda one: one.rank, default=None)
-    if not tried or best and behind(min(tried, key=lambda one: one.rank), best) > HOPELESS:
+def _kept(begun: Curved, best: Fitted, steps: int) -> list[Fitted]:
+    """Optima of curved rods that keep their roll; none where these are far behind ``best``."""
+    tried = [fit.run(state, TRIED_FIRST) for fit, state in kept(begun)]
+    hopeless = behind(min(tried, key=lambda one: one.rank), best) > HOPELESS
+    return [] if hopeless else [one for one in _continued(tried, steps) if one.converged]
+
+
+def _swivelling(straight: Fitted, best: Fitted, curvature: str, steps: int) -> list[Fitted]:
+    """Optima of curved rods that roll freely, from the fit of straight ones that do not; none where these are far behind
+    ``best``. Those that became straight say nothing that ``straight`` does not."""
+    fit, states = swivelling(straight, curvature)
+    first = fit.run(next(states), TRIED_FIRST)
+    if behind(first, best) > HOPELESS:
         return []
-    return [one for one in _continued(tried, steps) if _counts(one)]
-
-
-def _counts(fitted: Fitted) -> bool:
-    """Whether the rods are held or, where they roll freely, not straight."""
-    return not fitted.fit.unknowns.rod.swivels or bent(fitted)
+    tried = [one for one in (first, *(fit.run(state, TRIED_FIRST) for state in states)) if bent(one)]
+    if not tried or behind(min(tried, key=lambda one: one.rank), best) > NEAR:
+        return []
+    return [one for one in _continued(tried, steps) if one.converged and bent(one)]
 
 
 def _continued(tried: list[Fitted], steps: int) -> list[Fitted]:

@@ -96,6 +96,24 @@ def test_of_several_rows_the_most_probable_is_shown(of_all_rolls):
     assert len(found.linear[0].values) == len(found.evidence.share) == len(best)
 
 
+def test_rolls_twists_and_curvature_of_a_linear_model_are_found_together(rng):
+    count, knots, own = 9, 5, 2
+    share = np.linspace(0.1, 0.9, knots)
+    roll, twist = rng.uniform(-np.pi, np.pi, count), rng.choice(rolls.TWISTS[4:-4], count)
+    curvature, other = rng.normal(size=2 * knots), np.array([0.4, -0.3])
+    slopes = rng.normal(size=(count, 40, own + 2 * knots + 1))
+    lie = rolls.turned(np.broadcast_to(curvature, (count, 2 * knots)), -(roll[:, None] + twist[:, None] * share))
+    truth = np.concatenate([np.broadcast_to(other, (count, own)), lie, twist[:, None]], axis=1)
+    information = 1e4 * np.swapaxes(slopes, 1, 2) @ slopes
+    model = rolls.LinearModel(information, -(information @ truth[..., None])[..., 0], 1e-6 * np.eye(own + 2 * knots),
+                         np.zeros(own + 2 * knots), np.zeros(count), np.ones(count, dtype=bool), share, np.arange(count))
+    best = min((model.start(one) for one in rng.uniform(-np.pi, np.pi, (16, count))), key=lambda one: one.value)
+    np.testing.assert_allclose(best.twist, twist)
+    common = np.exp(1j * (best.roll - roll))  # a common roll of all, with the curvature turned back, changes nothing
+    assert np.abs(common - common.mean()).max() < 0.2
+    assert np.linalg.norm(best.curvature) == pytest.approx(np.linalg.norm(curvature), rel=0.05)
+
+
 def test_one_roll_is_level_or_carried_from_the_mean_direction(rng):
     tangent = unit_vectors(rng.normal(size=(9, 3)) + [2.0, 0.0, 0.0])
     frames, mean = some_frames(tangent), unit_vectors(tangent.mean(axis=0))
