@@ -32,6 +32,7 @@ FOLLOWED = 3  # steps of the clamps after each of the shared unknowns, which the
 LARGEST_ROLL = 1.0  # rad, of a clamp in one observation
 SHORTENED = 1 / 3  # factor by which a step that does not help is shortened
 MOST_SHORTENED = 8
+TURNED = 0.5  # factor of a step that leads back by more than this share of the last
 LEAST_SHARE = 2e-3  # share of a step: if no longer step helps, the fit stops, but not at a kink
 FINE, OF_INTERVALS, ROUGH = (0.03, 0.01), (0.1, 0.1), (0.1, 0.5)  # a fit is done when a whole step would move Θ by fewer
 # standard errors and the last one lowered −2 ln of the posterior by less; ROUGH while several fits compete
@@ -202,7 +203,7 @@ class Fit:
         """The best values that are reached from ``state``; with ``held`` = (v, a), those whose v·x is larger by a than that of
         ``state``, x being the unknowns."""
         direction, left = held or (None, 0.0)
-        done, tried = False, 0
+        done, tried, before = False, 0, np.zeros(self.unknowns.theta_count)
         among = bool(self.unknowns.rod.surroundings)
         snapping = np.zeros(len(state.used), dtype=bool)  # stay out: the fit would pull them in and lose them again for ever
         for tried in range(1, steps + 1):
@@ -212,7 +213,9 @@ class Fit:
             snapping |= state.used & ~fitted.state.used
             found, count = fitted.posterior, self.unknowns.theta_count
             change = found.step[:count] / np.maximum(np.sqrt(np.diag(found.covariance)[:count]), 1e-9)
-            trial, share, gained = self._stepped(fitted, self._share(found.step), left != 0.0)
+            turned = np.sum(change * before) < -TURNED * np.sum(before**2) and left == 0.0  # sizes and Θ chase each other
+            trial, share, gained = self._stepped(fitted, self._share(found.step) * (TURNED if turned else 1.0), left != 0.0)
+            before = change
             settled = left == 0.0 and gained < self.tolerance[1] and bool((np.abs(change) <= self.tolerance[0]).all())
             left *= 1 - share
             at_kink = among and share < SHORTENED and gained < self.tolerance[1] and left == 0.0
