@@ -78,6 +78,7 @@ REMEDY = "delete it and run the sweep again"
 PARAMETERS = ("bend_1", "bend_2", "twist", "weight")
 RODS = ("distance_mm", "status", "stable")
 RODS_OF_PAIRS = (*RODS, "jumps", "pair_weight")
+LABELS = ("end_distance_mm", "end_rotation_deg")
 MOST_OBSERVATIONS = 1 << 31  # more than the column ``observation`` can number
 
 # Of a column: the kinds of its dtype as NumPy abbreviates them, and whether each value is possible.
@@ -207,24 +208,23 @@ def terms_in(paths: list[Path]) -> Terms:
     return Terms(found, dynamic)
 
 
-def rods_in(paths: list[Path], grid: Grid, terms: Terms,
-            more: tuple[str, ...] = ()) -> Iterator[tuple[Path, np.ndarray, np.ndarray, dict[str, np.ndarray]]]:
-    """Each file with the cell (n,) of its rods, −1 where the grid has none, their term (n,), and their columns: RODS or
-    RODS_OF_PAIRS, and ``more``."""
-    names = [*PARAMETERS, *terms.ends, *(RODS_OF_PAIRS if terms.dynamic else RODS), *more]
+def rods_in(paths: list[Path], grid: Grid, terms: Terms) -> Iterator[tuple[np.ndarray, np.ndarray, dict[str, np.ndarray]]]:
+    """Of each file the cell (n,) of its rods, −1 where the grid has none, their term (n,), and their columns: RODS or
+    RODS_OF_PAIRS, and LABELS."""
+    names = [*PARAMETERS, *terms.ends, *(RODS_OF_PAIRS if terms.dynamic else RODS), *LABELS]
     for path in paths:
         columns = read_columns(path, names)
-        yield path, grid.cells_of(columns), terms.of(columns), columns
+        yield grid.cells_of(columns), terms.of(columns), columns
 
 
-def whole_rods_in(run: Path, paths: list[Path], grid: Grid, terms: Terms, more: tuple[str, ...] = ()) -> Iterator[tuple]:
+def whole_rods_in(run: Path, paths: list[Path], grid: Grid, terms: Terms) -> Iterator[tuple]:
     """As :func:`rods_in`. Raises InputError, after the last file or before, unless the files hold each cell and term exactly
     once, and no others."""
     rods = grid.size * len(terms.key)
     seen, count = np.zeros(rods, dtype=bool), 0
     fits = terms.dynamic or bool((terms.key == np.arange(len(terms.key))).all())
-    for found in rods_in(paths, grid, terms, more):
-        _, cell, term, _ = found
+    for found in rods_in(paths, grid, terms):
+        cell, term, _ = found
         fits &= bool((cell >= 0).all())
         if not fits:
             break

@@ -19,7 +19,7 @@ from pathlib import Path
 
 import numpy as np
 
-from doo_ti.learning.chunks import Terms, cell_files, read_summary, rods_in, sweep_identity, terms_in, whole_rods_in
+from doo_ti.learning.chunks import LABELS, Terms, cell_files, read_summary, rods_in, sweep_identity, terms_in, whole_rods_in
 from doo_ti.rod.grid import Grid, Interval, valley
 from doo_ti.rod.types import Status
 from doo_ti.system.arguments import short_repr, typed
@@ -36,9 +36,6 @@ def status_counts(status: np.ndarray) -> dict[str, int]:
     """Number of rods of each status that occurs, by its name."""
     counts = np.bincount(np.ravel(status), minlength=len(Status))
     return {kind.name.lower(): int(counts[kind]) for kind in Status if counts[kind]}
-
-
-LABELS = ("end_distance_mm", "end_rotation_deg")
 
 
 @dataclass(frozen=True)
@@ -187,7 +184,7 @@ def gather_landscape(run: Path, grid: Grid, name: str, identity: str | None, par
     found = {"distance_mm": np.full(shape, np.nan), "status": np.full(shape, -1, dtype=np.int8),
              "stable": np.zeros(shape, dtype=bool), **({"jumps": np.zeros(shape, dtype=np.int32)} if terms.dynamic else {})}
     per_term = {column: np.full(shape[1], np.nan) for column in (*LABELS, *(("pair_weight",) if terms.dynamic else ()))}
-    for _, cell, term, columns in (whole_rods_in if whole else _nearest_rods_in)(run, paths, grid, terms, LABELS):
+    for cell, term, columns in whole_rods_in(run, paths, grid, terms) if whole else _nearest_rods_in(paths, grid, terms):
         for column, table in found.items():
             table[cell, term] = columns[column]
         for column, table in per_term.items():
@@ -199,15 +196,15 @@ def gather_landscape(run: Path, grid: Grid, name: str, identity: str | None, par
         end_rotation=per_term[LABELS[1]], jumps=found.get("jumps"))
 
 
-def _nearest_rods_in(run: Path, paths: list[Path], grid: Grid, terms: Terms, more: tuple[str, ...]) -> Iterator[tuple]:
+def _nearest_rods_in(paths: list[Path], grid: Grid, terms: Terms) -> Iterator[tuple]:
     """As :func:`doo_ti.learning.chunks.whole_rods_in`, of several rods of a cell and term the nearest sound one, of files that
     hold whole cells."""
-    for path, cell, term, columns in rods_in(paths, grid, terms, more):
+    for cell, term, columns in rods_in(paths, grid, terms):
         distance = columns["distance_mm"]
         sound = is_sound(distance, columns["status"], columns["stable"])
         order = np.lexsort((distance, ~sound, term, cell))
         rows = order[np.diff(cell[order] * np.int64(len(terms.key)) + term[order], prepend=-1) > 0]
-        yield path, cell[rows], term[rows], {name: column[rows] for name, column in columns.items()}
+        yield cell[rows], term[rows], {name: column[rows] for name, column in columns.items()}
 
 
 def plane_of(landscape: Landscape):

@@ -12,7 +12,7 @@ from doo_ti.contact.surroundings import Surroundings
 from doo_ti.relaxation.external import Springs
 from doo_ti.relaxation.newton import Newton
 from doo_ti.relaxation.relax import relax
-from doo_ti.rod.frames import rotation_matrix, turn_between, unit_vectors
+from doo_ti.rod.frames import placed, rotation_matrix, turn_between, unit_vectors
 from doo_ti.rod.types import POSES, Clamps, Configuration, Material, Solution, finite_rods
 
 PULL = 30.0
@@ -51,16 +51,10 @@ class Model:
 def between_marks(values: np.ndarray, seen: np.ndarray) -> np.ndarray:
     """(B, V, 3) ``values`` at vertices that are ``seen`` (B, V), linear between them, and constant beyond the outermost ones;
     zero where none is seen."""
-    count = seen.shape[1]
-    number = np.arange(count)
-    before = np.maximum.accumulate(np.where(seen, number, -1), axis=1)
-    after = np.minimum.accumulate(np.where(seen, number, count)[:, ::-1], axis=1)[:, ::-1]
-    before, after = np.where(before < 0, after, before), np.where(after >= count, before, after)
-    rods = np.arange(len(seen))[:, None]
-    before, after = np.clip(before, 0, count - 1), np.clip(after, 0, count - 1)
-    share = ((number - before) / np.maximum(after - before, 1))[..., None]
-    known = np.where(seen[..., None], values, 0.0)
-    return (1 - share) * known[rods, before] + share * known[rods, after]
+    found, number = np.zeros(values.shape), np.arange(seen.shape[1])
+    for rod in np.flatnonzero(seen.any(axis=1)):
+        found[rod] = placed(number, number[seen[rod]], values[rod, seen[rod]])
+    return found
 
 
 def padded(vertices: np.ndarray) -> np.ndarray:

@@ -24,10 +24,10 @@ from doo_ti.contact.surroundings import Surroundings
 from doo_ti.io.motion_file import ClampPath
 from doo_ti.manipulation.equilibria import CLEAR, Clearance, Equilibria, Shapes, States, Tree, joined_states
 from doo_ti.manipulation.model import Model, change_between
-from doo_ti.manipulation.targets import ServoOptions, Targets, fitted_guesses, require_free
+from doo_ti.manipulation.targets import ServoOptions, Targets, fitted_guesses, require_free, require_places
 from doo_ti.motion.predict import predict
 from doo_ti.relaxation.relax import clamp_change, mesh_change
-from doo_ti.rod.material import Material, doubt_marks
+from doo_ti.rod.material import Material
 from doo_ti.rod.types import POSES, Clamp, Clamps, Configuration, unit_up
 from doo_ti.system.arguments import owning, typed
 from doo_ti.system.errors import InputError, require_whole
@@ -316,13 +316,8 @@ def _check(rod: Configuration, material: Material, clamps: Clamps, targets: Targ
     for name, rows in (("rod", rod.count), ("material", material.count), ("clamps", clamps.count), ("targets", targets.count)):
         if rows != 1:
             raise InputError("plan_manipulation", name, f"{rows} rows", "give one rod")
-    if targets.vertices.shape[1] != rod.edges + 1:
-        raise InputError("plan_manipulation", "targets", f"{targets.vertices.shape[1]} vertices for a rod of {rod.edges + 1}",
-                         "give a place, or NaN, for each vertex")
-    if rod.rest_length.ndim != 1:
-        raise InputError("plan_manipulation", "rod", "rest lengths (1, E)", "give (E,)")
+    require_places("plan_manipulation", rod, targets)
     if surroundings.rub:
         raise InputError("plan_manipulation", "obstacles", "with friction", "give obstacles without friction")
     if not all((np.asarray(kind) >= Clamp.TANGENT).all() for kind in (clamps.start, clamps.end)):
         raise InputError("plan_manipulation", "clamps", "that hold no direction", "give clamps that hold tangents or frames")
-    doubt_marks("Targets", "vertices", targets.vertices, rod.rest_length)

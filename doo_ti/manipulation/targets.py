@@ -194,22 +194,27 @@ class ServoOptions:
         return np.repeat([1.0, self.lever_mm, 1.0, self.lever_mm], 3)
 
 
+def require_places(source: str, rod: Configuration, targets: Targets) -> None:
+    """Raise InputError, of ``source``, where targets are not those of the rods' vertices, and for rods of different lengths."""
+    if targets.vertices.shape[1] != rod.edges + 1:
+        raise InputError(source, "targets", f"{targets.vertices.shape[1]} vertices for rods of {rod.edges + 1}",
+                         "give a place, or NaN, for each vertex")
+    if rod.rest_length.ndim != 1:
+        raise InputError(source, "rod", "rods with edges of different lengths", "give (E,) rest lengths, the same for all")
+    doubt_marks("Targets", "vertices", targets.vertices, rod.rest_length)
+
+
 def require_matching(rod: Configuration, material: Material, clamps: Clamps, targets: Targets) -> None:
     """Raise InputError where the arguments of a servo do not belong together."""
     count = rod.count
     if clamps.count != count or material.count not in (1, count) or targets.count not in (1, count):
         raise InputError("Servo", "clamps, material, targets", f"{clamps.count}, {material.count} and {targets.count} rows for "
                          f"{count} rods", "give a row for each rod; one material or target serves all")
-    if targets.vertices.shape[1] != rod.edges + 1:
-        raise InputError("Servo", "targets", f"{targets.vertices.shape[1]} vertices for rods of {rod.edges + 1}",
-                         "give a place, or NaN, for each vertex")
-    if rod.rest_length.ndim != 1:
-        raise InputError("Servo", "rod", "rods with edges of different lengths", "give (E,) rest lengths, the same for all")
+    require_places("Servo", rod, targets)
     apart, length = np.linalg.norm(clamps.end_position - clamps.start_position, axis=1).max(initial=0.0), rod.rest_length.sum()
     if apart > length:
         raise InputError("Servo", "clamps", f"{apart:.4g} mm apart, and the rod {length:.4g} mm long",
                          "bring them within its reach")
-    doubt_marks("Targets", "vertices", targets.vertices, rod.rest_length)
     if not replace(material, rest_curvature=None).is_isotropic:
         raise InputError("Servo", "material", "not round, or not the same all along the rod", "give Material(bend, twist)")
 

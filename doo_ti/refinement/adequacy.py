@@ -194,11 +194,14 @@ def with_stiffness_along(found: list[Fitted], steps: int, stiffness: str) -> lis
 
 def _continued(fitted: Fitted, steps: int) -> Fitted:
     """The fit with a stiffness that varies along the rod."""
-    fit, state = fitted.fit, fitted.state
-    unknowns = replace(fit.unknowns, uneven=True)
-    fit = replace(fit, comparison=replace(fit.comparison, unknowns=unknowns))
-    begun = fit.at(_with_fields(state.values, unknowns), state.scales.learning(unknowns.scale_names), state.solution)
-    return fit.run(replace(begun, used=state.used & begun.sound), steps).after(fitted)
+    fit, begun = _begun(fitted, replace(fitted.fit.unknowns, uneven=True))
+    return fit.run(replace(begun, used=fitted.state.used & begun.sound), steps).after(fitted)
+
+
+def _begun(fitted: Fitted, unknowns: Unknowns) -> tuple[Fit, State]:
+    """The fit of other unknowns, and where it begins: at the end of ``fitted``."""
+    fit, state = fitted.fit.learning(unknowns), fitted.state
+    return fit, fit.at(_with_fields(state.values, unknowns), state.scales.learning(unknowns.scale_names), state.solution)
 
 
 # --- other models ---------------------------------------------------------------------------------------------------------
@@ -216,15 +219,11 @@ class Score:
 
 def scores(fitted: Fitted) -> tuple[Score, ...]:
     """The scores of all other models, each fitted from the end of ``fitted``."""
-    fit, state, found = fitted.fit, fitted.state, []
-    own = fitted.evidence.left_out(fitted.linear, state.scales)
-    for name, unknowns in _variants(fit.unknowns).items():
-        same_field = unknowns.curvature == fit.unknowns.curvature
-        values = replace(state.values, curvature=state.values.curvature if same_field else np.zeros((len(unknowns.knots), 2)))
-        variant = Fit(replace(fit.comparison, unknowns=unknowns), fit.origin, fit.solver, fit.rods)
-        begun = variant.at(values, state.scales.learning(unknowns.scale_names), state.solution)
-        other = variant.run(begun, STEPS)
-        both = state.used & other.state.used
+    found, own = [], fitted.evidence.left_out(fitted.linear, fitted.state.scales)
+    for name, unknowns in _variants(fitted.fit.unknowns).items():
+        fit, begun = _begun(fitted, unknowns)
+        other = fit.run(begun, STEPS)
+        both = fitted.state.used & other.state.used
         change = (other.evidence.left_out(other.linear, other.state.scales) - own)[both]
         error = np.std(change, ddof=1) * np.sqrt(len(change)) if len(change) > 1 else np.inf
         found.append(Score(name, float(change.sum()), float(error), int(both.sum())))

@@ -28,13 +28,9 @@ STEPS = 60
 ENOUGH = 1e-5
 """Change of F at which the search ends. Where F is flat at first, it falls by little more in a step; the rise that bounds an
 interval is about four."""
-WARMING = 4  # steps of expectation and maximisation before the search, which fails from sizes that are far off
-SETTLED = 0.2
 MISSING = 0.8
 """Largest share of the information about an unknown that may be missing because rolls are not known: far from the optimum the
 second derivative may have any sign."""
-FARTHEST = 2.0  # largest change of the logarithm of a size in one search
-HALVINGS = 20  # of the weights of both sides of a kink
 
 
 @dataclass(frozen=True)
@@ -73,20 +69,6 @@ class Evidence:
         """The same, but direction · x is held at ``amount``, ``direction`` (P,)."""
         full, _ = np.linalg.qr(np.column_stack([direction, np.eye(len(direction))]))
         return replace(self, basis=full[:, 1 : len(direction)], along=amount * direction / (direction @ direction))
-
-    def with_other_side(self, linear: Sequence[Residuals], ahead: np.ndarray, scales: Scales) -> "Evidence":
-        """F at a kink, with another linear model, around values that are ``ahead`` (P,): the mean of the squares of both,
-        weighted so that at its most probable step both are as large. That step lowers the larger of them the most (bundle
-        methods: Kiwiel, *Methods of Descent for Nondifferentiable Optimization*, 1985)."""
-        other = [Moments.of(replace(kind, values=kind.values - kind.shared @ ahead), self.share) for kind in linear]
-        pairs, low, high = list(zip(self.moments, other, strict=True)), 0.0, 1.0
-        for _ in range(HALVINGS):
-            weight = 0.5 * (low + high)
-            both = replace(self, moments=tuple(own.averaged(its, weight) for own, its in pairs))
-            at = (found := both.posterior(scales)).step, found.effects
-            more = sum((self._squares(its, *at) - self._squares(own, *at)) / scales[own.scale] ** 2 for own, its in pairs)
-            low, high = (weight, high) if more > 0 else (low, weight)
-        return both
 
     def posterior(self, scales: Scales, known: bool = False) -> Posterior:
         """The posterior at these sizes; ``known``: as if it were known which of several rows is the rod."""
@@ -158,35 +140,19 @@ class Evidence:
         """(D,) ln of the probability density of each observation, given all others, at these sizes: half of the decrease of F
         when that observation is left out. ``linear``: the residuals from which the moments follow."""
         own, slope, squares, constant = integrated(self.unknowns, linear, scales)
-        hessian, total = self._together(own, slope, scales)
-        without, rest = hessian - own, total - slope
-        decrease = squares - total @ np.linalg.solve(hessian, total) + np.einsum(
-            "dp,dp->d", rest, np.linalg.solve(without, rest[..., None])[..., 0])
-        return -0.5 * (decrease + constant + np.linalg.slogdet(hessian)[1] - np.linalg.slogdet(without)[1])
+        rest = others(self.unknowns, own, slope, self.offset, scales)
+        return -0.5 * (given(rest, own, slope, squares + constant) - given(rest, 0.0, 0.0, 0.0))
 
     def without_each(self, linear: tuple[Residuals, ...], scales: Scales) -> np.ndarray:
         """(D, P) the most probable step without each observation in turn, at these sizes."""
         own, slope, _, _ = integrated(self.unknowns, linear, scales)
-        hessian, total = self._together(own, slope, scales)
-        return -np.linalg.solve(hessian - own, (total - slope)[..., None])[..., 0]
-
-    def _together(self, own: np.ndarray, slope: np.ndarray, scales: Scales) -> tuple[np.ndarray, np.ndarray]:
-        """H (P, P) and the slope (P,) of all observations and the prior, from those of each (:func:`integrated`)."""
-        precision, _ = self.unknowns.precision(scales)
-        return precision + own.sum(axis=0), slope.sum(axis=0) + precision @ self.offset
+        hessian, slope = others(self.unknowns, own, slope, self.offset, scales)
+        return -np.linalg.solve(hessian, slope[..., None])[..., 0]
 
     def best(self, scales: Scales, steps: int = STEPS) -> Scales:
-        """The sizes with the largest evidence that is reached from ``scales``, each within a factor e² of its present value."""
+        """The sizes with the largest evidence that is reached from ``scales``."""
         if not scales.learned.any():
             return scales
-        counts = self._counts(scales)
-        for _ in range(WARMING if scales.hessian is None else 0):  # else the last search has left them near
-            # Each squared size becomes the posterior mean of the squares it is the size of.
-            share = self.posterior(scales, known=True).gradient / (2 * counts)
-            if np.abs(share).max() < SETTLED:
-                break
-            change = 0.5 * np.log(np.clip(1 - share, 0.1, 3.0))
-            scales = scales.at(np.clip(scales.free + change, *scales.bounds))
 
         def objective(free):
             found = self.posterior(scales.at(free), known=True)
@@ -194,20 +160,9 @@ class Evidence:
 
         low, high = scales.bounds
         begin = np.clip(scales.free, low, high)
-        hessian = np.diag(np.where(np.isfinite(counts), 4 * counts, 1.0)) if scales.hessian is None else scales.hessian
-        free, hessian = minimised(objective, begin, (np.maximum(low, begin - FARTHEST), np.minimum(high, begin + FARTHEST)),
-                                  hessian, steps, ENOUGH)
+        hessian = np.eye(len(begin)) if scales.hessian is None else scales.hessian
+        free, hessian = minimised(objective, begin, (low, high), hessian, steps, ENOUGH)
         return replace(scales.at(free), hessian=hessian)
-
-    def _counts(self, scales: Scales) -> np.ndarray:
-        """(H,) how many squares each learned size is the mean of; the range is not one, and is not changed here."""
-        rods = float(self.share.sum())
-        turns = self.unknowns.rod.pose_scales.count("turn_scatter")
-        counts = {"turn": 2 * turns, "turn_scatter": turns * rods, "any_roll": rods, "gap": 3 * GAP_MODES * rods}
-        for field in self.unknowns.fields:
-            counts |= {field.name: len(self.unknowns.columns(field.name)), field.range: np.inf}
-        counts |= {kind.scale: max(kind.count, 1.0) for kind in self.moments}
-        return np.array([counts.get(name, 1.0) for name, free in zip(NAMES, scales.learned, strict=True) if free], dtype=float)
 
     def _solved(self, hessian: np.ndarray, slope: np.ndarray, precision: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
         """(x̂, covariance of x, ln |H|) over the unknowns that are free."""
@@ -307,3 +262,20 @@ def integrated(unknowns: Unknowns, linear: tuple[Residuals, ...], scales: Scales
     squares = sum(w * (k.values**2).sum(axis=1) for w, k in pairs) - (slope_z * (inner @ slope_z)).sum(axis=(1, 2))
     noise = sum(k.count * np.log(2 * np.pi * scales[k.scale] ** 2) for k in linear)
     return own, slope, squares, noise - np.linalg.slogdet(inner)[1] + np.log(variance).sum()
+
+
+def others(unknowns: Unknowns, own: np.ndarray, slope: np.ndarray, offset: np.ndarray, scales: Scales
+           ) -> tuple[np.ndarray, np.ndarray]:
+    """(D, P, P) and (D, P) the sums of B and s (:func:`integrated`) of all others than each observation, and of the prior, from
+    whose mean the unknowns are ``offset`` (P,) away."""
+    precision, _ = unknowns.precision(scales)
+    return precision + own.sum(axis=0) - own, slope.sum(axis=0) + precision @ offset - slope
+
+
+def given(rest: tuple[np.ndarray, np.ndarray], own: np.ndarray | float, slope: np.ndarray | float, value: np.ndarray | float
+          ) -> np.ndarray:
+    """(D,) −2 ln of the density of each observation given the ``rest``, all :func:`others`, up to what only these say; its own
+    B, s, and c + q = ``value``."""
+    hessian, slope = rest[0] + own, rest[1] + slope
+    return value - np.einsum("dp,dp->d", slope, np.linalg.solve(hessian, slope[..., None])[..., 0]) + np.linalg.slogdet(
+        hessian)[1]

@@ -84,23 +84,18 @@ class Mesh:
         return cls(edge, first + edge * np.arange(edges + 1), slope, first_slope)
 
     def at(self, place: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """(X, N + 1) weights of the vertices at arc lengths ``place`` (X,), and their derivatives by u = (s − s_0)/h: cubic,
-        but linear in the outermost intervals and beyond, which a clip may hold."""
+        """(X, N + 1) weights of the vertices at arc lengths ``place`` (X,), and their derivatives by u = (s − s_0)/h: of a
+        cubic spline, but linear in the outermost intervals and beyond, which a clip may hold."""
+        from scipy.interpolate import CubicSpline
+
         u, count = (place - self.place[0]) / self.edge, len(self.place)
-        weights, slopes = np.zeros((2, len(u), count))
-        rows = np.arange(len(u))
-        inner = (u > 1) & (u < count - 2) & (count >= 6)
-        low = np.where(inner, np.clip(np.floor(u).astype(int) - 1, 1, max(count - 5, 1)), 0)
-        t = u - low
-        cubic = ((0, (1, 2, 3), -6.0), (1, (0, 2, 3), 2.0), (2, (0, 1, 3), -2.0), (3, (0, 1, 2), 6.0))
-        for k, (a, b, c), scale in cubic:
-            columns = rows[inner], (low + k)[inner]
-            weights[columns] = (((t - a) * (t - b) * (t - c)) / scale)[inner]
-            slopes[columns] = (((t - b) * (t - c) + (t - a) * (t - c) + (t - a) * (t - b)) / scale)[inner]
-        outer = ~inner
-        low = np.clip(np.floor(u).astype(int), 0, count - 2)
-        weights[rows[outer], low[outer]], weights[rows[outer], low[outer] + 1] = (1 - (u - low))[outer], (u - low)[outer]
-        slopes[rows[outer], low[outer]], slopes[rows[outer], low[outer] + 1] = -1.0, 1.0
+        low, one = np.clip(np.floor(u).astype(int), 0, count - 2), np.eye(count)
+        slopes = one[low + 1] - one[low]
+        weights = one[low] + (u - low)[:, None] * slopes
+        inner = (u > 1) & (u < count - 2)
+        if count >= 6:
+            spline = CubicSpline(np.arange(1, count - 1), one[1:-1])
+            weights[inner], slopes[inner] = spline(u[inner]), spline(u[inner], 1)
         return weights, slopes
 
     def at_edges(self, place: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -143,16 +138,11 @@ def knots_of(rest_length: np.ndarray) -> np.ndarray:
 def values_at(place: np.ndarray, knots: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """(X, K) weights of the knots at arc lengths ``place`` (X,), and their derivatives by arc length; constant beyond the
     outermost knots."""
-    weights, slopes = np.zeros((2, len(place), len(knots)))
-    rows = np.arange(len(place))
     if len(knots) < 2:
-        weights[:] = 1.0
-        return weights, slopes
-    low = np.clip(np.searchsorted(knots, place, side="right") - 1, 0, len(knots) - 2)
-    span = knots[low + 1] - knots[low]
-    share = (place - knots[low]) / span
+        return np.ones((len(place), len(knots))), np.zeros((len(place), len(knots)))
+    low, one = np.clip(np.searchsorted(knots, place, side="right") - 1, 0, len(knots) - 2), np.eye(len(knots))
+    share = (place - knots[low]) / (knots[low + 1] - knots[low])
     inside = (share >= 0) & (share <= 1)
-    share = np.clip(share, 0.0, 1.0)
-    weights[rows, low], weights[rows, low + 1] = 1 - share, share
-    slopes[rows, low], slopes[rows, low + 1] = np.where(inside, -1 / span, 0.0), np.where(inside, 1 / span, 0.0)
-    return weights, slopes
+    slopes = (inside / (knots[low + 1] - knots[low]))[:, None] * (one[low + 1] - one[low])
+    share = np.clip(share, 0.0, 1.0)[:, None]
+    return (1 - share) * one[low] + share * one[low + 1], slopes

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.ndimage import generate_binary_structure, minimum_filter
 
-from doo_ti.refinement.evidence import integrated
+from doo_ti.refinement.evidence import given, integrated, others
 from doo_ti.refinement.fit import ODD, POSED, ROUGH, Fit, Fitted, State
 from doo_ti.refinement.residuals import Comparison
 from doo_ti.refinement.rolls import Curved, bent, curved, kept, rolled, swivelling
@@ -229,16 +229,14 @@ def turns_chosen_again(fitted: Fitted, steps: int) -> list[Fitted]:
 def _best_of(fit: Fit, states: Sequence[State]) -> State:
     """Of each observation that which is most probable given the others, at the same sizes. What is shared is free to follow to
     first order: it may have adapted to a wrong shape of that observation."""
-    best, *others = states
-    precision, _ = fit.unknowns.precision(best.scales)
+    best = states[0]
     of_best = own, slope, present = _densities(fit, best)
     used = best.used & np.isfinite(present)
     own, slope = (np.where(used.reshape(-1, *(1,) * (part.ndim - 1)), part, 0.0) for part in (own, slope))
-    rest = (precision + own.sum(axis=0) - own,
-            slope.sum(axis=0) + precision @ fit.unknowns.offset(best.values, fit.origin) - slope)
-    least = _given(rest, *of_best)
-    for other in others:
-        value = _given(rest, *_densities(fit, other))
+    rest = others(fit.unknowns, own, slope, fit.unknowns.offset(best.values, fit.origin), best.scales)
+    least = given(rest, *of_best)
+    for other in states[1:]:
+        value = given(rest, *_densities(fit, other))
         better = value < least - POSED
         if better.any():
             best, least = fit.merged(best, other, better), np.where(better, value, least)
@@ -251,10 +249,3 @@ def _densities(fit: Fit, state: State) -> tuple[np.ndarray, np.ndarray, np.ndarr
     linear, usable = fit.comparison.linear(state.solution, state.values, state.sound, leave_out_soft=False)
     own, slope, squares, constant = integrated(fit.unknowns, linear, state.scales)
     return own, slope, np.where(usable, squares + constant, np.inf)
-
-
-def _given(rest: tuple[np.ndarray, np.ndarray], own: np.ndarray, slope: np.ndarray, value: np.ndarray) -> np.ndarray:
-    """(D,) −2 ln of the density of each observation given the ``rest``, B (D, P, P) and s (D, P) of all others."""
-    hessian, slope = rest[0] + own, rest[1] + slope
-    return value - np.einsum("dp,dp->d", slope, np.linalg.solve(hessian, slope[..., None])[..., 0]) + np.linalg.slogdet(
-        hessian)[1]

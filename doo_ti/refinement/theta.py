@@ -18,8 +18,8 @@ marginal likelihood (:mod:`doo_ti.refinement.evidence`).
                     learned, except the roll's where it is kept (:func:`doo_ti.refinement.rolls.kept`)
 
 The sizes are found by BFGS with Powell's damping and projected steps (Nocedal and Wright, *Numerical Optimization*, 2006, §6.1
-and procedure 18.2). Unlike SciPy's L-BFGS-B it begins with a known Hessian, and returns the one it has learned: the next of
-many similar searches then takes one or two evaluations.
+and procedure 18.2). Unlike SciPy's L-BFGS-B it returns the Hessian that it has learned, with which the next of many similar
+searches begins: that takes a few evaluations. With L-BFGS-B a fit takes twice as long.
 """
 
 from collections.abc import Callable
@@ -111,8 +111,7 @@ def slopes_of_entries(bend: np.ndarray) -> np.ndarray:
 
 NAMES = ("marks", "frames", "curvature", "range", "stiffness", "stiffness_range", "turn", "turn_scatter", "gap", "any_turn",
          "any_roll", "any_twist", "any_shift")
-ANY_TURN, ANY_ROLL, ANY_TWIST, ANY_SHIFT = 0.5, 3.0, 3.0, 0.1
-"""rad, rad, rad, and over the rod's length: of the direction of two marks, a parallel frame, no twist, the outermost mark."""
+ANY_TWIST = 3.0  # rad, typical twist where no frame says it
 BOUND, BOUND_OF_RANGE = 9.0, 2.5
 """Largest |ln| of a size over its typical value; for ranges: from about a hundredth of the rod's length to all of it."""
 
@@ -173,7 +172,8 @@ def typical_scales(length: float, spacing: float, learned: set[str], fixed: dict
     """
     typical = {"marks": 0.1 * spacing, "frames": 0.1, "curvature": 0.1 / length, "range": 0.1 * length, "stiffness": 0.05,
                "stiffness_range": 0.1 * length, "turn": 0.01, "turn_scatter": 0.003, "gap": 3e-4 * length,
-               "any_turn": ANY_TURN, "any_roll": ANY_ROLL, "any_twist": ANY_TWIST, "any_shift": ANY_SHIFT * length}
+               # of the direction of two marks, a parallel frame, no twist, the outermost mark
+               "any_turn": 0.5, "any_roll": 3.0, "any_twist": ANY_TWIST, "any_shift": 0.1 * length}
     factor = {"marks": 5.0, "frames": 2.0, "curvature": 1.5, "range": 1.0, "stiffness_range": 1.0}
     value = np.array([fixed.get(name, typical[name]) for name in NAMES])
     return Scales(value, np.array([typical[name] for name in NAMES]), np.array([factor.get(name, 1.5) for name in NAMES]),
