@@ -31,6 +31,7 @@ interval is about four."""
 MISSING = 0.8
 """Largest share of the information about an unknown that may be missing because rolls are not known: far from the optimum the
 second derivative may have any sign."""
+HALVINGS = 20  # of the weights of both sides of a kink
 
 
 @dataclass(frozen=True)
@@ -69,6 +70,20 @@ class Evidence:
         """The same, but direction · x is held at ``amount``, ``direction`` (P,)."""
         full, _ = np.linalg.qr(np.column_stack([direction, np.eye(len(direction))]))
         return replace(self, basis=full[:, 1 : len(direction)], along=amount * direction / (direction @ direction))
+
+    def with_other_side(self, linear: Sequence[Residuals], ahead: np.ndarray, scales: Scales) -> "Evidence":
+        """F at a kink, with another linear model, around values that are ``ahead`` (P,): the mean of the squares of both,
+        weighted so that at its most probable step both are as large. That step lowers the larger of them the most (bundle
+        methods: Kiwiel, *Methods of Descent for Nondifferentiable Optimization*, 1985)."""
+        other = [Moments.of(replace(kind, values=kind.values - kind.shared @ ahead), self.share) for kind in linear]
+        pairs, low, high = list(zip(self.moments, other, strict=True)), 0.0, 1.0
+        for _ in range(HALVINGS):
+            weight = 0.5 * (low + high)
+            both = replace(self, moments=tuple(own.averaged(its, weight) for own, its in pairs))
+            at = (found := both.posterior(scales)).step, found.effects
+            more = sum((self._squares(its, *at) - self._squares(own, *at)) / scales[own.scale] ** 2 for own, its in pairs)
+            low, high = (weight, high) if more > 0 else (low, weight)
+        return both
 
     def posterior(self, scales: Scales, known: bool = False) -> Posterior:
         """The posterior at these sizes; ``known``: as if it were known which of several rows is the rod."""
