@@ -28,9 +28,13 @@ STEPS = 60
 ENOUGH = 1e-5
 """Change of F at which the search ends. Where F is flat at first, it falls by little more in a step; the rise that bounds an
 interval is about four."""
+WARMING = 4  # steps of expectation and maximisation before the search, which fails from sizes that are far off
+SETTLED = 0.2
 MISSING = 0.8
 """Largest share of the information about an unknown that may be missing because rolls are not known: far from the optimum the
 second derivative may have any sign."""
+FARTHEST = 2.0  # largest change of the logarithm of a size in one search
+HALVINGS = 20  # of the weights of both sides of a kink
 
 
 @dataclass(frozen=True)
@@ -69,6 +73,20 @@ class Evidence:
         """The same, but direction · x is held at ``amount``, ``direction`` (P,)."""
         full, _ = np.linalg.qr(np.column_stack([direction, np.eye(len(direction))]))
         return replace(self, basis=full[:, 1 : len(direction)], along=amount * direction / (direction @ direction))
+
+    def with_other_side(self, linear: Sequence[Residuals], ahead: np.ndarray, scales: Scales) -> "Evidence":
+        """F at a kink, with another linear model, around values that are ``ahead`` (P,): the mean of the squares of both,
+        weighted so that at its most probable step both are as large. That step lowers the larger of them the most (bundle
+        methods: Kiwiel, *Methods of Descent for Nondifferentiable Optimization*, 1985)."""
+        other = [Moments.of(replace(kind, values=kind.values - kind.shared @ ahead), self.share) for kind in linear]
+        pairs, low, high = list(zip(self.moments, other, strict=True)), 0.0, 1.0
+        for _ in range(HALVINGS):
+            weight = 0.5 * (low + high)
+            both = replace(self, moments=tuple(own.averaged(its, weight) for own, its in pairs))
+            at = (found := both.posterior(scales)).step, found.effects
+            more = sum((self._squares(its, *at) - self._squares(own, *at)) / scales[own.scale] ** 2 for own, its in pairs)
+            low, high = (weight, high) if more > 0 else (low, weight)
+        return both
 
     def posterior(self, scales: Scales, known: bool = False) -> Posterior:
         """The posterior at these sizes; ``known``: as if it were known which of several rows is the rod."""
@@ -150,9 +168,17 @@ class Evidence:
         return -np.linalg.solve(hessian, slope[..., None])[..., 0]
 
     def best(self, scales: Scales, steps: int = STEPS) -> Scales:
-        """The sizes with the largest evidence that is reached from ``scales``."""
+        """The sizes with the largest evidence that is reached from ``scales``, each within a factor e² of its present value."""
         if not scales.learned.any():
             return scales
+        counts = self._counts(scales)
+        for _ in range(WARMING if scales.hessian is None else 0):  # else the last search has left them near
+            # Each squared size becomes the posterior mean of the squares it is the size of.
+            share = self.posterior(scales, known=True).gradient / (2 * counts)
+            if np.abs(share).max() < SETTLED:
+                break
+            change = 0.5 * np.log(np.clip(1 - share, 0.1, 3.0))
+            scales = scales.at(np.clip(scales.free + change, *scales.bounds))
 
         def objective(free):
             found = self.posterior(scales.at(free), known=True)
@@ -160,9 +186,20 @@ class Evidence:
 
         low, high = scales.bounds
         begin = np.clip(scales.free, low, high)
-        hessian = np.eye(len(begin)) if scales.hessian is None else scales.hessian
-        free, hessian = minimised(objective, begin, (low, high), hessian, steps, ENOUGH)
+        hessian = np.diag(np.where(np.isfinite(counts), 4 * counts, 1.0)) if scales.hessian is None else scales.hessian
+        free, hessian = minimised(objective, begin, (np.maximum(low, begin - FARTHEST), np.minimum(high, begin + FARTHEST)),
+                                  hessian, steps, ENOUGH)
         return replace(scales.at(free), hessian=hessian)
+
+    def _counts(self, scales: Scales) -> np.ndarray:
+        """(H,) how many squares each learned size is the mean of; the range is not one, and is not changed here."""
+        rods = float(self.share.sum())
+        turns = self.unknowns.rod.pose_scales.count("turn_scatter")
+        counts = {"turn": 2 * turns, "turn_scatter": turns * rods, "any_roll": rods, "gap": 3 * GAP_MODES * rods}
+        for field in self.unknowns.fields:
+            counts |= {field.name: len(self.unknowns.columns(field.name)), field.range: np.inf}
+        counts |= {kind.scale: max(kind.count, 1.0) for kind in self.moments}
+        return np.array([counts.get(name, 1.0) for name, free in zip(NAMES, scales.learned, strict=True) if free], dtype=float)
 
     def _solved(self, hessian: np.ndarray, slope: np.ndarray, precision: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
         """(x̂, covariance of x, ln |H|) over the unknowns that are free."""

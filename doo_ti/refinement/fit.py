@@ -203,11 +203,11 @@ class Fit:
         """The best values that are reached from ``state``; with ``held`` = (v, a), those whose v·x is larger by a than that of
         ``state``, x being the unknowns."""
         direction, left = held or (None, 0.0)
-        done, tried, before = False, 0, np.zeros(self.unknowns.theta_count)
+        done, tried, before, kinked = False, 0, np.zeros(self.unknowns.theta_count), None
         among = bool(self.unknowns.rod.surroundings)
         snapping = np.zeros(len(state.used), dtype=bool)  # stay out: the fit would pull them in and lose them again for ever
         for tried in range(1, steps + 1):
-            fitted = self._linear(state, direction, left)
+            fitted = kinked or self._linear(state, direction, left)
             if done:
                 break
             snapping |= state.used & ~fitted.state.used
@@ -221,8 +221,13 @@ class Fit:
             at_kink = among and share < SHORTENED and gained < self.tolerance[1] and left == 0.0
             if done := at_kink and bool((np.abs(change) <= AT_KINK).all()):
                 break
-            if share == 0.0 or share < LEAST_SHARE and (settled or left or not among):  # rods snap, or rounding decides on F
+            if share < LEAST_SHARE and (settled or left or not among):  # rods snap, or rounding decides whether F rises
                 done = settled
+                break
+            kinked = self._with_other_side(fitted, trial) if share == 0.0 else None
+            if kinked:
+                continue
+            if share == 0.0:
                 break
             now = settled or tried == 1 or self.unknowns.rod.rolls_known  # others would spend most of the time on it
             trial, again = self._misfits_relaxed_again(trial) if now else (trial, False)
@@ -260,6 +265,15 @@ class Fit:
         scales = evidence.best(state.scales, SCALE_STEPS)
         state = replace(state, scales=scales, used=used)
         return Fitted(self, state, evidence, evidence.posterior(scales), linear, rest, False, 0)
+
+    def _with_other_side(self, fitted: Fitted, trial: State) -> Fitted | None:
+        """``fitted`` with the linear model around ``trial`` too, just beyond a kink; None where other rods count there."""
+        linear, used = self.comparison.linear(trial.solution, trial.values, trial.used, self.rods is None)
+        if not np.array_equal(used, fitted.state.used):
+            return None
+        ahead = self.unknowns.offset(trial.values, self.origin) - fitted.evidence.offset
+        evidence = fitted.evidence.with_other_side(linear, ahead, fitted.state.scales)
+        return replace(fitted, evidence=evidence, posterior=evidence.posterior(fitted.state.scales))
 
     def shares(self, state: State, linear: tuple[Residuals, ...]) -> tuple[np.ndarray, float, np.ndarray]:
         """(D,) the probability of each row among those that stand for the same observation, given the present unknowns; what

@@ -14,7 +14,7 @@ marks are in mm, or in units of σ where the observations state it; those of dir
 Axes: D observations, M marks, N residuals of one kind in each observation, P unknowns, Q effects, G smooth displacements.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 
@@ -71,6 +71,11 @@ class Moments:
             residuals.scale, float(share @ (residuals.values**2).sum(axis=1)), shared.T @ shared, (transposed @ values)[..., 0],
             effects @ residuals.shared, effects @ residuals.effects,
             (effects @ values)[..., 0], float(share @ residuals.count))
+
+    def averaged(self, other: "Moments", weight: float) -> "Moments":
+        """The mean of both, ``other`` with ``weight``."""
+        return Moments(self.scale, *((1 - weight) * getattr(self, field.name) + weight * getattr(other, field.name)
+                                     for field in fields(self)[1:]))
 
 
 @dataclass(frozen=True)

@@ -18,8 +18,8 @@ marginal likelihood (:mod:`doo_ti.refinement.evidence`).
                     learned, except the roll's where it is kept (:func:`doo_ti.refinement.rolls.kept`)
 
 The sizes are found by BFGS with Powell's damping and projected steps (Nocedal and Wright, *Numerical Optimization*, 2006, §6.1
-and procedure 18.2). Unlike SciPy's L-BFGS-B it returns the Hessian that it has learned, with which the next of many similar
-searches begins: that takes a few evaluations. With L-BFGS-B a fit takes twice as long.
+and procedure 18.2). Unlike SciPy's L-BFGS-B it begins with a known Hessian, and returns the one it has learned: the next of
+many similar searches then takes one or two evaluations. With L-BFGS-B a fit takes twice as long.
 """
 
 from collections.abc import Callable

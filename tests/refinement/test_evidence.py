@@ -119,3 +119,23 @@ def test_a_variable_at_its_bound_stays_where_the_function_falls_beyond():
     x, _ = minimised(lambda x: (x @ x, 2 * x), np.array([1.0, 1.0]), (np.array([1.0, -1.0]), np.full(2, 2.0)), np.eye(2), 20,
                      1e-9)
     np.testing.assert_allclose(x, [1.0, 0.0], atol=1e-4)
+
+
+def test_no_step_from_a_kink_lowers_the_larger_of_both_models_more(linear_model, rng):
+    evidence, linear, scales = linear_model
+    ahead = 1e-3 * rng.normal(size=len(evidence.offset))
+    beyond = tuple(replace(kind, shared=-0.7 * kind.shared) for kind in linear)
+    found = evidence.with_other_side(beyond, ahead, scales).posterior(scales)
+    sizes = np.array([scales[name] for name in effect_scales(evidence.unknowns)])
+
+    def of_both(x, z):
+        away = evidence.offset + x
+        same = away @ evidence.unknowns.precision(scales)[0] @ away + ((z / sizes) ** 2).sum()
+        return [same + sum((((k.values + k.shared @ (x - at) + (k.effects @ z[..., None])[..., 0])
+                             / scales[k.scale]) ** 2).sum() for k in side) for side, at in ((linear, 0.0), (beyond, ahead))]
+
+    least = of_both(found.step, found.effects)
+    assert least[0] == pytest.approx(least[1], rel=1e-4)
+    for size in (1e-3, 1e-2, 0.1) * 10:
+        x, z = (one * (1 + size * rng.normal(size=one.shape)) for one in (found.step, found.effects))
+        assert max(of_both(x, z)) > max(least) * (1 - 1e-5)
