@@ -200,7 +200,7 @@ def _continued(fitted: Fitted, steps: int) -> Fitted:
 
 def _begun(fitted: Fitted, unknowns: Unknowns) -> tuple[Fit, State]:
     """The fit of other unknowns, and where it begins: at the end of ``fitted``."""
-    fit, state = fitted.fit.learning(unknowns), fitted.state
+    fit, state = replace(fitted.fit, comparison=replace(fitted.fit.comparison, unknowns=unknowns)), fitted.state
     return fit, fit.at(_with_fields(state.values, unknowns), state.scales.learning(unknowns.scale_names), state.solution)
 
 

@@ -115,10 +115,6 @@ class Fit:
     def unknowns(self) -> Unknowns:
         return self.comparison.unknowns
 
-    def learning(self, unknowns: Unknowns) -> "Fit":
-        """The same with other unknowns."""
-        return replace(self, comparison=replace(self.comparison, unknowns=unknowns))
-
     def begin(self, values: Values, scales: Scales) -> State:
         """Rods relaxed from their observations. Raises InputError where none is converged and stable."""
         state, rod = self.from_marks(values, scales), self.unknowns.rod
