@@ -182,7 +182,7 @@ class Perception:
         explained = np.sort(np.nan_to_num(self.coverage, nan=1.0), axis=1)[:, -1 - self._two]
         likely = (self.status == Status.CONVERGED) & (self.gap >= AMBIGUOUS_PX) & ~far_off & (self._two > 0)
         whole, part = LEAST_COVERED  # of a longer thread a rod explains a part
-        likely &= explained >= np.maximum(whole * np.fmin(1.0, length / self.thread_length), part)
+        likely &= explained >= np.maximum(whole * length / np.fmax(length, self.thread_length), part)
         likely &= ~(self.thread_length > self.length_range[:, 1])  # the length and the paths contradict each other
         likely &= ~(self.thread_length < (1 - UNCERTAIN) * length)  # it ends where no thread is
         likely &= ~self._often(self.skipped) & ~self._often(self.twice) & ~(self.beyond.max(axis=1) > UNCERTAIN * length)
