@@ -38,7 +38,7 @@ from doo_ti.rod.frames import (
 from doo_ti.rod.material import Material, Rows, doubt_marks
 from doo_ti.rod.types import Clamp, Clamps, Configuration, Solution, finite_rods, put_rods
 from doo_ti.system.arguments import owning, typed
-from doo_ti.system.errors import InputError
+from doo_ti.system.errors import InputError, require
 
 ASKED = 1e-12  # least total weight of a rod's vertices
 
@@ -58,8 +58,7 @@ class Targets:
     weight: Annotated[np.ndarray | None, "B V", float] = None
 
     def __post_init__(self) -> None:
-        if np.isinf(self.vertices).any():
-            raise InputError("Targets", "vertices", "infinite", "give mm, or NaN where nothing is asked")
+        require(not np.isinf(self.vertices).any(), "Targets", "vertices", "infinite", "give mm, or NaN where nothing is asked")
         if self.weight is not None and not ((self.weight >= 0) & np.isfinite(self.weight)).all():
             raise InputError("Targets", "weight", "negative or not finite", "give zero or positive weights")
         nothing = np.flatnonzero(~(self._weight.sum(axis=1) > ASKED))
@@ -177,11 +176,10 @@ class ServoOptions:
             if box is not None and (np.shape(box) != (2, 3) or not (np.less_equal(*box)).all()):
                 raise InputError("ServoOptions", name, f"{box!r:.60}", "give the lowest and the highest x, y, z in mm")
         for name in ("step_mm", "lever_mm", "reached_mm", "noise_mm", "memory"):
-            if not 0 < getattr(self, name) < 1e6:
-                raise InputError("ServoOptions", name, f"{getattr(self, name):g}", "give a positive number")
+            require(0 < getattr(self, name) < 1e6, "ServoOptions", name, f"{getattr(self, name):g}", "give a positive number")
         for name in ("slack", "bend", "ratio", "clip_mm", "clip_deg", "compliance", "curvature"):
-            if not 0 <= getattr(self, name) < 1e3:
-                raise InputError("ServoOptions", name, f"{getattr(self, name):g}", "give zero or a positive number")
+            require(0 <= getattr(self, name) < 1e3, "ServoOptions", name, f"{getattr(self, name):g}",
+                    "give zero or a positive number")
 
     @property
     def moves(self) -> np.ndarray:
@@ -196,11 +194,10 @@ class ServoOptions:
 
 def require_places(source: str, rod: Configuration, targets: Targets) -> None:
     """Raise InputError, of ``source``, where targets are not those of the rods' vertices, and for rods of different lengths."""
-    if targets.vertices.shape[1] != rod.edges + 1:
-        raise InputError(source, "targets", f"{targets.vertices.shape[1]} vertices for rods of {rod.edges + 1}",
-                         "give a place, or NaN, for each vertex")
-    if rod.rest_length.ndim != 1:
-        raise InputError(source, "rod", "rods with edges of different lengths", "give (E,) rest lengths, the same for all")
+    require(targets.vertices.shape[1] == rod.edges + 1, source, "targets", f"{targets.vertices.shape[1]} vertices for rods of "
+            f"{rod.edges + 1}", "give a place, or NaN, for each vertex")
+    require(rod.rest_length.ndim == 1, source, "rod", "rods with edges of different lengths",
+            "give (E,) rest lengths, the same for all")
     doubt_marks("Targets", "vertices", targets.vertices, rod.rest_length)
 
 
@@ -212,9 +209,8 @@ def require_matching(rod: Configuration, material: Material, clamps: Clamps, tar
                          f"{count} rods", "give a row for each rod; one material or target serves all")
     require_places("Servo", rod, targets)
     apart, length = np.linalg.norm(clamps.end_position - clamps.start_position, axis=1).max(initial=0.0), rod.rest_length.sum()
-    if apart > length:
-        raise InputError("Servo", "clamps", f"{apart:.4g} mm apart, and the rod {length:.4g} mm long",
-                         "bring them within its reach")
+    require(not apart > length, "Servo", "clamps", f"{apart:.4g} mm apart, and the rod {length:.4g} mm long",
+            "bring them within its reach")
     if not replace(material, rest_curvature=None).is_isotropic:
         raise InputError("Servo", "material", "not round, or not the same all along the rod", "give Material(bend, twist)")
 
