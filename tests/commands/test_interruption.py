@@ -23,6 +23,7 @@ pytestmark = pytest.mark.skipif(os.name != "posix", reason="sends signals as a t
 # Ctrl-C comes while the command line is imported.
 STARTING = """
 import os, signal, sys
+signal.signal(signal.SIGINT, signal.default_int_handler)  # whoever runs the tests may ignore it
 from doo_ti.__main__ import main
 
 class Finder:
