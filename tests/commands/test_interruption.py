@@ -23,7 +23,6 @@ pytestmark = pytest.mark.skipif(os.name != "posix", reason="sends signals as a t
 # Ctrl-C comes while the command line is imported.
 STARTING = """
 import os, signal, sys
-signal.signal(signal.SIGINT, signal.default_int_handler)  # whoever runs the tests may ignore it
 from doo_ti.__main__ import main
 
 class Finder:
@@ -74,7 +73,7 @@ def started(folder: Path, line: str) -> subprocess.Popen:
 
 
 def test_while_the_program_starts(tmp_path):
-    done = run_script(STARTING, tmp_path)
+    done = run_script("import signal; signal.signal(signal.SIGINT, signal.default_int_handler)\n" + STARTING, tmp_path)
     assert (done.returncode, done.stdout) == (1, "") and done.stderr.count("\n") == 1
 
 
