@@ -222,12 +222,12 @@ class _Fit:
         self.rollouts = options.rollouts(motion, unknowns.begin, halvings)
 
     def corrected(self, p, correction: int) -> "_Fit":
-        """The same with less of the simulation's own error, of the markers' mesh and of the steps. Among obstacles both are
-        halved, so many times. Else the error under p, from what halving changes (Richardson), joins what is seen."""
+        """The same with less of the error of the markers' mesh and of the steps. Among obstacles both are halved so many times.
+        Else that error under p, from what halving changes (Richardson), is added to what is seen."""
         if self.options.surroundings:
             return _Fit(self.motion, self.unknowns, self.options, self.stills, correction)
         theta = self.unknowns.theta(p)
-        (coarse, _), (fine, _) = (self.options.rollouts(self.motion, theta, k).predicted([theta]) for k in (0, 1))
+        coarse, fine = (one.predicted([theta])[0] for one in (self.rollouts, self.options.rollouts(self.motion, theta, 1)))
         apart = (coarse - fine)[:, 0, 2:, self.motion.predicted]
         whole = np.isfinite(apart).all(axis=(1, 2, 3), keepdims=True)
         self.seen = self.motion.positions[:, 2:, self.motion.predicted] + np.where(whole, 4.0 / 3.0 * apart, 0.0)
