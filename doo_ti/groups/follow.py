@@ -56,10 +56,10 @@ def follow_group(group: Group, clamps: Sequence[Sequence[Clamps]], solver: Newto
         raise InputError("follow_group", missing, f"missing beside {other}", "give both, or neither")
     scheme = scheme or ("euler" if len(obstacles) else "bdf2")
     motion = None if dynamics is None else MovingGroups(group, dynamics, Stepping(rate, scheme=scheme).step, scheme)
-    before = None
+    before, contacts = None, None
     for held in clamps:
         group = replace(group, clamps=held)
-        found = relaxed(group, solver, up, obstacles, radius, contact, before, motion)
+        found, contacts = relaxed(group, solver, up, obstacles, radius, contact, before, motion, True, contacts)
         yield found
         lost = np.flatnonzero(~found.converged)
         group = replace(group, rods=[put_rods(now, lost, last.take(lost))

@@ -7,7 +7,7 @@ from doo_ti.physics.algebra import absolute, identity, largest_of
 from doo_ti.physics.number import NUMBERS, device_functions, in_f64, read, write
 from doo_ti.physics.tuples import add, choose, dot, extended, minus, picked, plus, scaled
 from doo_ti.relaxation import tables as of
-from doo_ti.relaxation.contact_table import FINE, contact_items, pair_items
+from doo_ti.relaxation.contact_table import FINE, FORCES, PAIR_FORCES, PRESSED_IN, contact_items, pair_items
 from doo_ti.relaxation.loading import stiffness_scale
 from doo_ti.relaxation.self_contacts import SelfContacts
 
@@ -154,19 +154,24 @@ class GroupContacts(ties.Ties, SelfContacts):
         divisor = stiffness_scale(tables.material, tables.clamp, material, tables.rods[rod, of.CLAMP_ROW])
         # No contact bears more than what the softer of its rods does.
         softest = extended(scale, bend=tables.material[material, of.SOFTEST] / divisor)
+        force_unit = divisor / (unit * unit)
+        self.scale_memory(tables, row, 1.0 / force_unit)
         SelfContacts.load(self, tables, slot, rod, unit, softest)
+        self.carry_pairs(tables, slot, row, True)
+        base, own = one.contacts, ti.min(row, tables.apart.shape[0] - 1)
+        for number in range(tables.apart.shape[1]):
+            at = self.numbered_pair(one, number)
+            at.distance, at.distance_standing, at.may_touch = 1e30, 1e30, ti.cast(tables.apart[own, number], ti.f64)
+            base.largest = ti.max(base.largest, at.force)
+        base.stiffness = ti.max(base.stiffness, base.largest / (PRESSED_IN * base.radius))
         head = self.group(one)
         if tables.touching == 0:
             one.contacts.phase = FINE
         for v in range(one.edges + 1):  # no edge ends where a rod begins, so that none sags there
             for o in range(one.obstacles):
                 self.contact(self.vertex(one, v), o).sagging = 0.0
-        own = ti.min(row, tables.apart.shape[0] - 1)
-        for number in range(tables.apart.shape[1]):
-            self.numbered_pair(one, number).may_touch = ti.cast(tables.apart[own, number], ti.f64)
         stiffness = ties.STIFFNESS_OF_TIES / (scale.total * scale.total * scale.total)
         head.stiffness, head.work, head.unit = stiffness, 0.0, unit
-        force_unit = divisor / (unit * unit)
         for e in range(one.edges):
             edge = self.edge(one, e)
             edge.spin, edge.tilt = tables.free[row, e, 0], tables.free[row, e, 1]
@@ -196,9 +201,19 @@ class GroupContacts(ties.Ties, SelfContacts):
         head.bound = ti.select(most > 0.0, bound, 0.0 * bound)
         head.give = ti.select(most > 0.0, ties.GIVE, ties.NO_BORDER) / stiffness
 
+    def scale_memory(self, tables, row, factor):
+        """Multiply the forces in memory, which are energy per mm between launches: damping changes the unit of a group."""
+        for v, o, k in ti.ndrange(tables.memory.shape[1], tables.memory.shape[2], FORCES):
+            tables.memory[row, v, o, k] *= factor
+        pairs = tables.pair_memory.shape[1]
+        for number, k in ti.ndrange(ti.select(pairs > 1, pairs, 0), PAIR_FORCES):
+            tables.pair_memory[row, number, k] *= factor
+
     def unload_forces(self, tables, slot, place, force_unit):
         """Forces on vertices and of ties, what sticks and slips, friction's work and where rods begin, into row ``place``."""
         SelfContacts.unload_forces(self, tables, slot, place, force_unit)
+        self.carry_pairs(tables, slot, place, False)
+        self.scale_memory(tables, place, force_unit)
         self.unload_touch(tables, slot, place)
         one = self.of_lane(tables, slot)
         unit = in_f64(self.group(one).unit)

@@ -79,6 +79,7 @@ GROUPS = {
     "tie_forces": TABLE3,  # [group, tie, 6] force, energy per mm, and moment in the axes of the later edge, in and out
     "previous": TABLE3,  # [group, vertex, 3] mm, at the moment before
     "touches": INDEX2,  # [group, vertex] out
+    "pair_memory": TABLE3,  # [group, pair of edges, PAIR_CARRIED] in and out
     "works": TABLE1,  # [group] of friction, out
 }
 """What the kernel is given besides what Newton's among obstacles is, as :class:`GroupTables` says."""
@@ -121,4 +122,4 @@ def run_groups(table: GroupTables, options: Newton, state: GroupState, previous:
            numbers=table.rest, field=JointRest().field(), **contact.arguments(state.forces, options.gap_tolerance),
            touching=int(table.touching), begins=table.begins, ties=table.ties, borders=table.borders, targets=table.targets,
            free=table.free, burden=table.burden, apart=table.apart, places=state.places, tie_forces=state.tie_forces,
-           previous=previous, touches=state.touch, works=state.friction_work)
+           previous=previous, touches=state.touch, pair_memory=contact.pair_memory, works=state.friction_work)

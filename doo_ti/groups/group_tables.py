@@ -115,7 +115,8 @@ def group_tables(group: Group, up: np.ndarray, obstacles, radius, contact: bool,
     radii = group.radii(1.0 if radius is None else radius)
     require_margin(bodies, radii.max())
     around = Surroundings.checked("contact", [*bodies, *itself], radii.min(axis=1), group.count)
-    table = contact_table(around, group.count, lengths.shape[1], clamp, np.arange(group.count))
+    rows = np.arange(group.count)
+    table = contact_table(around, group.count, lengths.shape[1], clamp, rows, in_motion=True).touching(rows)
     thicker = group.at_vertices(radii - table.radius[:, None])
     springs = np.zeros((*burden.shape[:2], 4))  # none
     burden = np.concatenate([burden, np.broadcast_to(thicker, burden.shape[:2])[..., None], springs], axis=-1)
@@ -130,7 +131,7 @@ def group_tables(group: Group, up: np.ndarray, obstacles, radius, contact: bool,
     crossing = smallest_gap(start, apart, np.zeros((1, start.shape[1]))) < DEEPEST_STEP * table.radius
     return GroupTables(
         start=_joined([member.start for member in members], 1.0), rest_length=lengths, clamp=clamp,
-        material=material, up=up, contact=table.touching(np.arange(group.count)), touching=touch or bool(bodies), begins=begins,
+        material=material, up=up, contact=table, touching=touch or bool(bodies), begins=begins,
         begins_at=begins_at, ties=ties, targets=targets, free=np.ascontiguousarray(free), burden=burden,
         rest=np.zeros((1, lengths.shape[1], JOINT_ITEMS)), apart=apart, radii=radii,
         feasible=np.all([member.feasible for member in members], axis=0) & _reachable(group, members) & ~crossing)

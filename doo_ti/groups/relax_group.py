@@ -20,6 +20,7 @@ from doo_ti.groups.group_newton import GroupState, GroupTables, run_groups
 from doo_ti.groups.group_tables import evened_group, group_tables, smallest_gap
 from doo_ti.relaxation import tables as of
 from doo_ti.relaxation.batch import UNTOUCHED
+from doo_ti.relaxation.contact_table import ContactTable
 from doo_ti.relaxation.input_tables import RATIOS
 from doo_ti.relaxation.newton import MOST_IN_CONTACT, Newton
 from doo_ti.rod.frames import matrix_from_quaternion
@@ -110,18 +111,21 @@ def relax_group(group: Group, solver: Newton | None = None, *, up: ArrayLike | N
 
     Raises InputError for inputs that do not match.
     """
-    return relaxed(group, solver, up, obstacles, radius, contact, before)
+    return relaxed(group, solver, up, obstacles, radius, contact, before)[0]
 
 
 @runtime.exclusive
 def relaxed(group: Group, solver: Newton | None, up: ArrayLike | None, obstacles: Sequence[Obstacle], radius: ArrayLike | None,
-            contact: bool, before: GroupSolution | None, motion=None) -> GroupSolution:
-    """:func:`relax_group`, or the first moment or a time step of groups in ``motion`` (:class:`.MovingGroups`)."""
+            contact: bool, before: GroupSolution | None, motion=None, follows: bool = False,
+            contacts_before: ContactTable | None = None) -> tuple[GroupSolution, ContactTable]:
+    """:func:`relax_group`, or the first moment or a time step of groups in ``motion`` (:class:`.MovingGroups`), and its
+    contacts. Where another moment ``follows``, that may begin with them."""
     with np.errstate(all="ignore"):  # a group that is not finite has a status; NumPy need not warn
         up = unit_up((0.0, 0.0, 1.0) if up is None else up, "relax_group")
         table = group_tables(group if motion is None else motion.stiffened(group), up, obstacles, radius, contact,
                              motion is not None and motion.moves)
         table = table if motion is None else motion.into(table)
+        table = replace(table, contact=table.contact.for_launches) if follows else table
         tie_forces = np.zeros((group.count, len(table.ties), 6)) if before is None else _forces(group, before)
         results, edges = np.zeros((group.count, of.LOADED_RESULTS)), table.start.shape[1]
         results[~table.feasible, : of.RESULTS] = UNTOUCHED
@@ -133,10 +137,11 @@ def relaxed(group: Group, solver: Newton | None, up: ArrayLike | None, obstacles
             # Where the vertices were at the moment before or, where there was no place for them, where they start.
             then, now = (np.concatenate([rod.vertices for rod in rods], axis=1) for rods in (before.rods, group.rods))
             previous = np.ascontiguousarray(np.where(np.isfinite(then), then, now))
+            table.contact.begin_with(contacts_before, before.converged)
         solver = Newton(max_iterations=MOST_IN_CONTACT) if solver is None else solver
         _through_ratios(table, solver, state, previous, RATIOS if before is None else ())
         solution = _solution(group, table, state)
-        return solution if motion is None else motion.reached(solution, table)
+        return solution if motion is None else motion.reached(solution, table), table.contact
 
 
 def _through_ratios(table: GroupTables, solver: Newton, state: GroupState, previous: np.ndarray,

@@ -86,8 +86,8 @@ nearest_point          of the edge: s, φ* and its normal, and ``acts_between``,
 sagging                by how much the edge is nearer there than at its ends
 nearest                one number for all rods of the pack: how far the nearest is from being close
 pushes                 one where the contact pushed in the last trip (:meth:`.ContactEnergy.take_met`)"""
-REMEMBERED, REMEMBERED_IN_MOTION = CONTACT.at("friction"), CONTACT.at("value")
-"""Numbers of a contact that last from one relaxation to the next, and from one step to the next."""
+REMEMBERED, FORCES, REMEMBERED_IN_MOTION = (CONTACT.at(first) for first in ("friction", "rubbed_normal", "value"))
+"""Numbers of a contact that last from one relaxation to the next, those that are forces, those that last from step to step."""
 
 # --- the contact of a rod with itself, after those with obstacles: of the rod, of its vertices, of pairs of its edges, and the
 # dense Newton system (:class:`.DenseFactors`) ---
@@ -108,8 +108,8 @@ remembered          force and friction, the normal of its plane and the places o
 distance            of the edges, or a bound below it, now and before the step
 nearest             the places on both, and the gradient of the distance
 may_touch           in a group, one where they may"""
-PAIR_REMEMBERED, PAIR_CARRIED = PAIR.at("distance"), PAIR.at("places")
-"""Numbers of a pair that last from one step to the next, and from one launch to the next."""
+PAIR_FORCES, PAIR_REMEMBERED, PAIR_CARRIED = (PAIR.at(first) for first in ("rubbed_normal", "distance", "places"))
+"""Numbers of a pair that are forces, that last from one step to the next, and from one launch to the next."""
 
 ROUNDED = 2e-3
 """Squared radii by which a place on an edge is drawn to the middle of the edge, so that the nearest places of parallel edges
@@ -251,13 +251,16 @@ class ContactTable:
         return Contacts(force, vertices, self.surroundings)
 
     def begin_with(self, before: "ContactTable | None", rods: np.ndarray) -> None:
-        """Make the rods (R,) of a table with the same obstacles begin with the forces with which they have ended there."""
+        """Make the rods (R,) of a table with the same obstacles, friction apart, begin with the forces with which they have
+        ended there."""
         if (before is None or before.memory.shape != self.memory.shape or not np.array_equal(before.kinds, self.kinds)
-                or not np.array_equal(before.obstacles, self.obstacles)):
+                or not np.array_equal(before.obstacles[..., :FRICTION], self.obstacles[..., :FRICTION])):
             return
         both = rods & self.near & before.near
         rows = slice(None) if both.all() else np.flatnonzero(both)  # a slice copies four times as fast
         self.memory[rows] = before.memory[rows]
+        if self.pair_memory.shape == before.pair_memory.shape and len(self.pair_memory) == len(both):
+            self.pair_memory[rows] = before.pair_memory[rows]
 
     def forget(self, rows: np.ndarray) -> None:
         """Make the rods ``rows`` ones that have touched nothing yet."""
