@@ -79,8 +79,10 @@ class ContactRounds(ContactEnergy):
         due = due & (lane.active > 0.5)
         again = variable((due,))
         if self.some(due, zero):
+            before = rod.contacts.change
             close = self.update_forces(rod, due) <= rod.contacts.tolerance
-            choose(rod.contacts, due & close, phase=zero + FINE)
+            # Rough rounds that come no nearer do not move the rod: forces would grow until it leaps.
+            choose(rod.contacts, due & (close | (rod.contacts.change >= before)), phase=zero + FINE)
             again = (due & ~(close & fine),)
         # The next trip evaluates the rod where it is: the step at hand was computed under the old forces.
         choose(lane, again[0], trying=zero, escaping=zero, step_scale=zero, best=zero + 1e30, idle_trips=zero, aimless=zero,
