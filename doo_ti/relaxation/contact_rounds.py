@@ -81,8 +81,9 @@ class ContactRounds(ContactEnergy):
         if self.some(due, zero):
             before = rod.contacts.change
             close = self.update_forces(rod, due) <= rod.contacts.tolerance
-            # Rough rounds that come no nearer do not move the rod: forces would grow until it leaps.
-            choose(rod.contacts, due & (close | (rod.contacts.change >= before)), phase=zero + FINE)
+            # Of two rough rounds alike the second has not moved the rod: forces would grow until it leaps.
+            alike = absolute(rod.contacts.change - before) <= ROUGHER * before
+            choose(rod.contacts, due & (close | alike), phase=zero + FINE)
             again = (due & ~(close & fine),)
         # The next trip evaluates the rod where it is: the step at hand was computed under the old forces.
         choose(lane, again[0], trying=zero, escaping=zero, step_scale=zero, best=zero + 1e30, idle_trips=zero, aimless=zero,
