@@ -14,7 +14,7 @@ from tests.references.rods import certified
 ANGLE, CURVATURE, X, Z = range(4)
 BEND, LENGTH, RADIUS, FRAME = 4e4, 200.0, 1.0, np.eye(3)[None]
 WEIGHT = 2.0  # per mm, of a material of weight 1
-EXACT = Newton(max_iterations=1000, gap_tolerance=1e-6)  # the usual tolerance shows in shapes that are so exact
+EXACT = Newton(max_iterations=1000, gap_tolerance=1e-7)  # the usual tolerance shows in shapes that are so exact
 
 
 def arc(angle: float, curvature: float, force, length: float, weight: float = 0.0):
