@@ -40,6 +40,7 @@ from doo_ti.vision.detection import (
     in_whole_pixels,
     moved,
     thinned,
+    to_tips,
 )
 from doo_ti.vision.ridge import (
     BAR,
@@ -164,7 +165,7 @@ def _line(image: np.ndarray, look: Appearance, options: DetectionOptions) -> Det
         edges, about = edges_about(image, found.points, normal, look.polarity, look.width_px)
         sound = usual & about & (edges.balance > LEAST_BALANCE)
         found = replace(found, points=found.points + np.where(sound, edges.shift, 0.0)[:, None] * normal)
-    return moved(found, (left, top))
+    return moved(to_tips(found, image, look.slope), (left, top))
 
 
 def _halved(image: np.ndarray, width: float) -> tuple[np.ndarray, float]:
@@ -307,7 +308,7 @@ def detect_mask(mask: np.ndarray, options: DetectionOptions = DetectionOptions()
         raise InputError("detection", "mask", f"shape {mask.shape} of {mask.dtype}", "give (H, W) numbers, at least 16 x 16")
     part, corner = cropped(mask, options)
     least = 0 if len(np.unique(mask)) <= LABELS else mask.max() / 2
-    roof, scale = _roof(_cleaned(part > least))
+    inside, roof, scale = _roof(_cleaned(part > least))
     ridges = Curvature(roof, SIGMA).ridges("light", 0.1)
     half = roof[ridges.row, ridges.column].astype(np.float64)
     full = 2 * SIGMA / np.sqrt(2 * np.pi) * (1 - np.exp(-0.5 * (half / SIGMA) ** 2))
@@ -321,6 +322,7 @@ def detect_mask(mask: np.ndarray, options: DetectionOptions = DetectionOptions()
         return replace(Detection.none(mask.shape, "mask"), width=width)
     found = Detection(ridges.point, ridges.tangent, np.full(len(width), 255.0), float(np.median(width)), "light", mask.shape,
                       "mask", width)
+    found = to_tips(found, inside, 255 / np.sqrt(2 * np.pi), 0.5 - 0.5 / scale)
     return moved(in_whole_pixels(found, scale), corner)
 
 
@@ -335,9 +337,10 @@ def _cleaned(inside: np.ndarray) -> np.ndarray:
     return inside.astype(np.uint8)
 
 
-def _roof(inside: np.ndarray) -> tuple[np.ndarray, float]:
-    """(h, w) float32: px from the nearest pixel outside, halved where the thread is wide, and px of the mask to one of it."""
-    scale = 1.0
+def _roof(inside: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
+    """(h, w) float32 twice: the mask, 255 within, and px from the nearest pixel outside; both halved where the thread is wide;
+    and px of the mask to one of it."""
+    level, scale = 255 * inside.astype(np.float32), 1.0
     while True:
         # The thread goes on beyond the image's border; distances to nothing would have no end.
         roof = cv2.distanceTransform(np.pad(inside, 2, mode="edge"), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)[2:-2, 2:-2]
@@ -345,5 +348,5 @@ def _roof(inside: np.ndarray) -> tuple[np.ndarray, float]:
         roof = np.sqrt(np.rint(np.square(roof, dtype=np.float64))).astype(np.float32)
         roof = np.minimum(roof, max(inside.shape))
         if not inside.any() or 4 * np.median(roof[inside > 0]) <= WORKING_WIDTH or min(inside.shape) < 32:
-            return np.ascontiguousarray(roof), scale
-        inside, scale = (cv2.pyrDown(255 * inside) > 127).astype(np.uint8), 2 * scale
+            return level, np.ascontiguousarray(roof), scale
+        inside, level, scale = (cv2.pyrDown(255 * inside) > 127).astype(np.uint8), cv2.pyrDown(level), 2 * scale
