@@ -291,7 +291,6 @@ def edges_of(points: np.ndarray, own: list[np.ndarray], parts: Sequence[Detectio
 
 THIN_PX = 3.0  # width of a thread that is hardly wider than the blur of its edges: that it ends early does not show
 TIP = 0.3  # least slope of the image along the thread at its tip, over that at its edges
-FEWEST = 6  # points by which it is known how a line is bent
 ACROSS = np.linspace(-0.2, 0.2, 5)  # widths aside of the line, where the image is looked at for that
 BEYOND = 0.75  # widths beyond the end of a line up to which the tip may be
 
@@ -308,26 +307,29 @@ def to_tips(found: Detection, image: np.ndarray, slope: float, before: float = 0
     tree, widths, kept, rows, tips = cKDTree(found.points), found.widths, np.ones(found.count, dtype=bool), [], []
     for k, way in np.ndindex(len(chains), 2):
         chain = chains[k][::-1] if way else chains[k]
-        arc, wide = arc_lengths(chain), float(widths[tree.query(chain[0])[1]])
-        begin, end = np.searchsorted(arc, [0.5 * wide, 0.5 * wide + max(1.5 * wide, 3 * END_PX)])
-        if wide < THIN_PX or arc[-1] < 2 * wide or end - begin < FEWEST:
+        arc, wide = arc_lengths(chain), float(np.median(widths[tree.query(chain[: int(4 * END_PX)])[1]]))
+        if wide < THIN_PX or arc[-1] < max(2 * wide, 3 * END_PX):
             continue
-        bent, place = np.polyfit(arc[begin:end], chain[begin:end], 2), np.arange(0.5 * wide, -BEYOND * wide - 2, -STEP_PX)
-        at, ahead = np.vander(place, 3) @ bent, -unit_vectors(np.vander(2 * place, 2) @ bent[:2])
-        beside = at + wide * ACROSS[:, None, None] * normal_to(ahead)
-        x, y = np.moveaxis(beside.astype(np.float32), -1, 0)
-        change = cv2.remap(slopes, x, y, cv2.INTER_CUBIC, borderMode=cv2.BORDER_CONSTANT)
-        where, most = peak((change * ahead).sum(axis=-1).mean(axis=0)[None])
-        last = place[0] - STEP_PX * where[0]
+        place, cut = np.arange(0.5 * wide, -BEYOND * wide - 2, -STEP_PX), 0.5 * wide
+        for _ in range(2):  # how the line is bent is known up to half a width before the tip
+            begin, end = np.searchsorted(arc, [cut, cut + max(1.5 * wide, 3 * END_PX)])
+            bent = np.polyfit(arc[begin:end], chain[begin:end], 2)
+            at, ahead = np.vander(place, 3) @ bent, -unit_vectors(np.vander(2 * place, 2) @ bent[:2])
+            x, y = np.moveaxis((at + wide * ACROSS[:, None, None] * normal_to(ahead)).astype(np.float32), -1, 0)
+            change = cv2.remap(slopes, x, y, cv2.INTER_CUBIC, borderMode=cv2.BORDER_CONSTANT)
+            where, most = peak((change * ahead).sum(axis=-1).mean(axis=0)[None])
+            last = place[0] - STEP_PX * where[0]
+            cut = max(last + 0.5 * wide, 0.0)
         place = last + before + np.arange(0.0, 0.5 * wide, 1 / POINTS_PER_PX)
         at, ahead = np.vander(place, 3) @ bent, -unit_vectors(np.vander(2 * place, 2) @ bent[:2])
         inside = (at[0] > 0).all() and (at[0] < np.array(image.shape[::-1]) - 1).all()
-        others = [one for j, one in enumerate(chains) if j != k and curve_length(one) > wide] + [chain[end:]]
-        apart = cKDTree(at).query(np.concatenate(others))[0]
-        if not inside or most[0] < TIP * slope or (apart < 0.5 * wide).any():
+        others = [one for j, one in enumerate(chains) if j != k and curve_length(one) > wide]
+        apart = cKDTree(at).query(np.concatenate([*others, chain[end:]]))[0]
+        if not inside or most[0] < TIP * slope or (apart < wide).any():
             continue
         away = found.points - at[-1]
-        kept &= ((away @ ahead[-1] < 0) | (np.linalg.norm(found.points - at[0], axis=1) > 1.25 * wide + 2))
+        behind, aside = away @ ahead[-1], np.abs(away @ normal_to(ahead[-1]))
+        kept &= (behind < 0) | (behind > 1.5 * wide + 2) | (aside > 0.5 * wide + 1)
         rows.append(np.full(len(at), tree.query(chain[begin])[1]))
         tips.append(np.stack([at, ahead]))
     if not tips:
