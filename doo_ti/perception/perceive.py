@@ -39,8 +39,7 @@ CLEAR_PX, AMBIGUOUS_PX = 0.1, 0.02
 the rod's energy, which depends on an inexact Θ, between rods that fit the images equally."""
 FITTING_PX = 1.0  # bound of the distance to the detection; with more in any camera, something else was detected
 LEAST_COVERED = 0.5, 0.25  # bounds of the share of the detected line that a likely rod explains, and one that is shorter
-MOST_SKIPPED = 3.0  # bound of the piece of line that a clear or likely rod leaves out, over its width; others may cut corners
-MOST_WIDER = 1.5  # bound of the piece of line that is wider than a thread of one thickness is there, over its width
+MOST_SKIPPED, MOST_WIDER = 3.0, 1.5  # bounds of pieces left out, and, of likely rods, along something wider; in widths
 UNCERTAIN, CERTAIN_MM = 0.1, 1.0
 """Bounds of the vertices' sigma: of a likely rod, over its length, as of the share that no camera shows; and of a clear one."""
 CERTAIN_LENGTH = 0.03
@@ -94,8 +93,7 @@ class Perception:
                       the width of the thread there
     twice             (A, C) how much of its image passes along another part of it, over that width: it has turned back, or the
                       camera sees strands behind each other
-    wider             (A, C) longest piece of line along the rod that is wider than a thread of one thickness is at its depth,
-                      over that width: a needle or what holds it
+    wider             (A, C) longest piece of line along the rod that is wider than the thread, in its widths: a needle, a clip
     thread_length     (A,) mm from the seed to where the thread ends in the images; NaN where the best rod was not traced and
                       thread is left over. With rods of another length, the best is part of it, or goes on beyond it
     left_over         (A,) mm of thread that the rod leaves over: beyond its end or, if not traced, at most in any camera

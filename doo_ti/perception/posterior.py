@@ -163,14 +163,9 @@ def _between(there: np.ndarray) -> np.ndarray:
     return np.maximum.accumulate(there, axis=-1) & np.maximum.accumulate(there[..., ::-1], axis=-1)[..., ::-1]
 
 
-def _of_thread(detections: Sequence[Sequence[Detection]]) -> list[list[Detection]]:
-    """The ``detections`` without lines that are far wider than the thread, or in a glint."""
-    return [[found.take(found.widths <= WIDER * found.width_px) for found in images] for images in detections]
-
-
 def _lines_of(detections: Sequence[Sequence[Detection]]) -> tuple[list[list[Detection]], Lines, np.ndarray]:
-    """The lines of the thread, to search them, too, and (A, C, 1) px: its width."""
-    of_thread = _of_thread(detections)
+    """The ``detections`` without lines that are far wider than the thread, these lines, and (A, C, 1) px: its width."""
+    of_thread = [[found.take(found.widths <= WIDER * found.width_px) for found in images] for images in detections]
     return of_thread, line_trees(of_thread), np.nan_to_num([[[found.width_px] for found in images] for images in detections])
 
 
@@ -308,7 +303,7 @@ def shown_length(rods: Configuration, rig: Rig, detections: Sequence[Sequence[De
     do not look along the rod's end."""
     images = np.nan_to_num(rig.project(rods.vertices), nan=-1e6)
     last = np.zeros(images.shape[:2])
-    of_thread = _of_thread(detections)
+    of_thread = _lines_of(detections)[0]
     for c, row in np.ndindex(last.shape):
         place, far = nearest_place(thinned(of_thread[row][c])[0], images[c, row])
         last[c, row] = place[~far].max(initial=0.0)

@@ -69,8 +69,7 @@ def seed_from_pixels(rig: Rig, detections: Sequence[Detection], clicks: Mapping[
 
     detections  of the C cameras
     clicks      camera: (u, v) px; one or more
-    before      (3,) mm, where it began a moment before, if known: other places count as worse by how far they are, px
-    remedy      what may help where nothing was detected at a click
+    before      (3,) mm, where it began before, if known: others cost how far they are, px; remedy: said where no thread is
 
     Raises InputError, naming ``source``, for a single camera, and where no thread is near a click, or no other line fits.
     """
