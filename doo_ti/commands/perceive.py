@@ -24,7 +24,7 @@ LEFT_OVER = 0.02  # share of the rod's length by which the thread has another; l
 OUTSIDE = 0.01  # share of the thread outside the other images that is worth saying
 MOST_LISTED = 60
 MISREAD = {"skipped": "leaves out a piece {:.0f} widths long", "twice": "runs along itself for {:.0f} widths",
-           "wider": "goes on {:.0f} widths along something far wider"}
+           "wider": "goes on {:.0f} widths along something wider"}
 
 
 def declare(add) -> None:
@@ -145,18 +145,18 @@ def _begun(task: SeenRods, search, detected: list[list], failed: dict[int, Input
 def _clicked_points(sets, remedy: str, detected: list[list], failed: dict[int, InputError]) -> tuple[np.ndarray, np.ndarray]:
     """(A, 3) mm where the rods of the clicks begin, and (A, 3, 3) mm² how uncertain that is; NaN where none does: why, and the
     ``remedy`` where nothing was detected, is then in ``failed``."""
-    from doo_ti.perception.seeds import HELP, seed_from_pixels
+    from doo_ti.perception.seeds import seed_from_pixels
 
     points, covariance = np.full((sets.count, 3), np.nan), np.full((sets.count, 3, 3), np.nan)
     for row in range(sets.count):
         try:
             if row not in failed:
-                seed = seed_from_pixels(sets.rig, detected[row], sets.clicks[row], _source(sets, row))
+                seed = seed_from_pixels(sets.rig, detected[row], sets.clicks[row], _source(sets, row), remedy=remedy)
                 points[row], covariance[row] = seed.point, seed.covariance
                 if seed.inside:
                     warn(f"{_source(sets, row)}: no end of the thread is near the pixel: the rod begins within the thread")
         except InputError as error:
-            failed[row] = InputError(error.source, error.field, error.problem, error.remedy.replace(HELP, remedy))
+            failed[row] = error
     return points, covariance
 
 
@@ -211,12 +211,10 @@ def _arrays(task: SeenRods, found) -> dict[str, np.ndarray]:
 
 
 def sigma_with_length(sigma: np.ndarray, length_range: np.ndarray, clicked: bool) -> np.ndarray:
-    """``sigma`` (S, V) mm of the vertices, where the last one, and a ``clicked`` first one, is as uncertain along the rod as
-    its length between ``length_range`` (S, 2) mm, a range of 4 σ."""
-    sigma, along = sigma.copy(), np.nan_to_num(np.ptp(length_range, axis=1, keepdims=True)) / 4 / np.sqrt(3)
-    ends = [0, -1] if clicked else [-1]
-    sigma[:, ends] = np.hypot(sigma[:, ends], along)
-    return sigma
+    """``sigma`` (S, V) mm of vertices evenly along rods whose length is between ``length_range`` (S, 2) mm, a range of 4 σ: all
+    move along the rod with its end, by the share of its length that is before them, and with a ``clicked`` start."""
+    along, share = np.nan_to_num(np.ptp(length_range, axis=1, keepdims=True)) / 4, np.linspace(0.0, 1.0, sigma.shape[1])
+    return np.hypot(sigma, along / np.sqrt(3) * np.hypot(share, (1 - share) * clicked))
 
 
 def _found(found) -> np.ndarray:

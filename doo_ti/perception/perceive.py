@@ -39,7 +39,7 @@ CLEAR_PX, AMBIGUOUS_PX = 0.1, 0.02
 the rod's energy, which depends on an inexact Θ, between rods that fit the images equally."""
 FITTING_PX = 1.0  # bound of the distance to the detection; with more in any camera, something else was detected
 LEAST_COVERED = 0.5, 0.25  # bounds of the share of the detected line that a likely rod explains, and one that is shorter
-MOST_SKIPPED = 3.0  # bound of the piece of line that a clear or likely rod leaves out, over its width; others may cut corners
+MOST_SKIPPED, MOST_WIDER = 3.0, 1.5  # bounds of pieces left out, and, of likely rods, along something wider; in widths
 UNCERTAIN, CERTAIN_MM = 0.1, 1.0
 """Bounds of the vertices' sigma: of a likely rod, over its length, as of the share that no camera shows; and of a clear one."""
 CERTAIN_LENGTH = 0.03
@@ -93,8 +93,7 @@ class Perception:
                       the width of the thread there
     twice             (A, C) how much of its image passes along another part of it, over that width: it has turned back, or the
                       camera sees strands behind each other
-    wider             (A, C) longest piece of line along the rod that is far wider than the thread, over that width: a needle
-                      or what holds it
+    wider             (A, C) longest piece of line along the rod that is wider than the thread, in its widths: a needle, a clip
     thread_length     (A,) mm from the seed to where the thread ends in the images; NaN where the best rod was not traced and
                       thread is left over. With rods of another length, the best is part of it, or goes on beyond it
     left_over         (A,) mm of thread that the rod leaves over: beyond its end or, if not traced, at most in any camera
@@ -153,9 +152,9 @@ class Perception:
         """The place of the second best of all cameras, or of the only one."""
         return min(2, self.camera_error.shape[1]) - 1
 
-    def _often(self, widths: np.ndarray) -> np.ndarray:
-        """(A,) bool: in all cameras but one ``widths`` (A, C) are more than MOST_SKIPPED."""
-        return np.sort(np.nan_to_num(widths), axis=1)[:, self._two] > MOST_SKIPPED
+    def _often(self, widths: np.ndarray, most: float = MOST_SKIPPED) -> np.ndarray:
+        """(A,) bool: in all cameras but one ``widths`` (A, C) are more than ``most``."""
+        return np.sort(np.nan_to_num(widths), axis=1)[:, self._two] > most
 
     def _far_off(self, error: np.ndarray) -> np.ndarray:
         """(A,) bool: whether the mean distances ``error`` (A, C) px say that a rod is not on the line. Two cameras that fit are
@@ -185,7 +184,8 @@ class Perception:
         likely &= explained >= np.maximum(whole * length / np.fmax(length, self.thread_length), part)
         likely &= ~(self.thread_length > self.length_range[:, 1])  # the length and the paths contradict each other
         likely &= ~(self.thread_length < (1 - UNCERTAIN) * length)  # it ends where no thread is
-        likely &= ~self._often(self.skipped) & ~self._often(self.twice) & ~(self.beyond.max(axis=1) > UNCERTAIN * length)
+        likely &= ~self._often(self.skipped) & ~self._often(self.twice)
+        likely &= ~self._often(self.wider, MOST_WIDER) & ~(self.beyond.max(axis=1) > UNCERTAIN * length)
         likely &= ~(self.unsupported.mean(axis=1) > UNCERTAIN) & ~(self.sigma.max(axis=1) > UNCERTAIN * length)
         kinds = PerceptionVerdict.NOT_FOUND, PerceptionVerdict.CLEAR, PerceptionVerdict.LIKELY
         return np.select([lost, clear, likely], kinds, PerceptionVerdict.AMBIGUOUS).astype(np.int8)

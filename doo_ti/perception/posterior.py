@@ -89,13 +89,9 @@ def sharpened(rods: Configuration, rig: Rig, detections: Sequence[Sequence[Detec
     start, quaternions, sound = rods.start.copy(), rods.quaternions.copy(), np.zeros(len(every), dtype=bool)
     pieces, stiffness = (len(rods.vertices[0]) - 1) // (marks - 1), float(np.linalg.eigvalsh(material.bend).max())
     nu = temperature(rods.vertices[:, ::pieces], marks, TURNING) / (2 * NOISE_PX3)
-    of_thread, (given, ways) = _of_thread(detections), _images_of_places(rig, rods.vertices)
-    lines = line_trees(of_thread)
-    width = np.nan_to_num([[[detection.width_px] for detection in images] for images in detections])
+    (given, ways), (of_thread, lines, width) = _images_of_places(rig, rods.vertices), _lines_of(detections)
     end_weight = np.array([[NOISE_PX3 / detection.end_sigma**2 for detection in images] for images in detections])
-    found = lines_at(given, ways, lines)[2]
-    others = merged(given, inside_ends(given, found, width, exact), lines, width)
-    kept = _shown(given, found & ~others, lines, width, exact)
+    others, kept = _counting(given, lines_at(given, ways, lines)[2], lines, width, exact)
     for loosely, moving in ((LOOSE, np.flatnonzero(_seen_once(kept))), (1.0, every)):
         for _ in range(RELAXATIONS):
             if not len(moving):
@@ -126,6 +122,13 @@ def sharpened(rods: Configuration, rig: Rig, detections: Sequence[Sequence[Detec
     before, after = (coverage(rig, shape.vertices, every, of_thread, NEAR_PX).share for shape in (rods, new))
     sound &= (after >= np.minimum(before, COVERED)).all(axis=1)
     return put_rods(rods, sound, new.take(sound)), sound
+
+
+def _counting(places: np.ndarray, found: np.ndarray, lines: Lines, width: np.ndarray, exact: np.ndarray
+              ) -> tuple[np.ndarray, np.ndarray]:
+    """(A, C, E, K) bool twice: ``places`` beside other strands, and those of the others that are :func:`_shown`."""
+    others = merged(places, inside_ends(places, found, width, exact), lines, width)
+    return others, _shown(places, found & ~others, lines, width, exact)
 
 
 def _shown(places: np.ndarray, found: np.ndarray, lines: Lines, width: np.ndarray, exact: np.ndarray) -> np.ndarray:
@@ -160,9 +163,10 @@ def _between(there: np.ndarray) -> np.ndarray:
     return np.maximum.accumulate(there, axis=-1) & np.maximum.accumulate(there[..., ::-1], axis=-1)[..., ::-1]
 
 
-def _of_thread(detections: Sequence[Sequence[Detection]]) -> list[list[Detection]]:
-    """The ``detections`` without lines that are far wider than the thread, or in a glint."""
-    return [[found.take(found.widths <= WIDER * found.width_px) for found in images] for images in detections]
+def _lines_of(detections: Sequence[Sequence[Detection]]) -> tuple[list[list[Detection]], Lines, np.ndarray]:
+    """The ``detections`` without lines that are far wider than the thread, these lines, and (A, C, 1) px: its width."""
+    of_thread = [[found.take(found.widths <= WIDER * found.width_px) for found in images] for images in detections]
+    return of_thread, line_trees(of_thread), np.nan_to_num([[[found.width_px] for found in images] for images in detections])
 
 
 def temperature(vertices: np.ndarray, marks: int, least_turn: float) -> np.ndarray:
@@ -197,11 +201,12 @@ def vertex_sigma(rig: Rig, vertices: np.ndarray, sigma_px: float, correlation_px
     tangents = edges / length[..., None]
     first = across(tangents)
     turns = np.stack([first, np.cross(tangents, first)], axis=-1)  # (A, E, 3, 2)
-    seen, image_length = _movement_across(rig, vertices, tangents, turns, length)
+    ways, moved = _at_vertices(tangents), _vertex_movement(turns, length)  # (A, V, 3), and (A, V, 3, P)
+    seen, image_length = _movement_across(rig, vertices, ways, moved)
     if detected is not None:
         image_length = image_length * detected
     seen_once = np.swapaxes(seen, -1, -2) @ (image_length[..., None] * seen)
-    kept = _not_slid(tangents, turns, length)
+    kept = _not_slid(ways, turns, length)
     stiff = np.swapaxes(kept, -1, -2) @ bending_hessian(turns, length) @ kept
     stiff /= temperature(vertices, vertices.shape[1], STRAIGHT)[:, None, None]
     start = np.broadcast_to(start_covariance, (len(vertices), 3, 3))
@@ -215,7 +220,6 @@ def vertex_sigma(rig: Rig, vertices: np.ndarray, sigma_px: float, correlation_px
         measured = scatter * sections / np.maximum(sections - followed, np.maximum(LEAST_FREE * sections, 1e-9))
         noise = np.maximum(measured, sigma_px**2 * correlation_px)
     covariance = np.linalg.inv(seen_once / noise[:, None, None] + stiff)
-    moved = _vertex_movement(turns, length)  # (A, V, 3, P)
     variance = np.einsum("avxp,apq,avxq->av", moved, covariance, moved, optimize=True)
     variance[:, [0, -1]] += (_kinks(tangents, length) * np.stack([free, np.ones_like(free)], axis=1)) ** 2
     if detected is not None:
@@ -264,21 +268,18 @@ def _at_vertices(tangents: np.ndarray) -> np.ndarray:
     return 0.5 * (around[:, 1:] + around[:, :-1])
 
 
-def _not_slid(tangents: np.ndarray, turns: np.ndarray, length: np.ndarray) -> np.ndarray:
-    """(A, P, P): takes out of parameters the slide of the rod along itself, by as much as its start moves along it."""
-    ways = _at_vertices(tangents)
+def _not_slid(ways: np.ndarray, turns: np.ndarray, length: np.ndarray) -> np.ndarray:
+    """(A, P, P): takes out of parameters the slide of the rod along itself, in directions ``ways`` (A, V, 3) of its vertices,
+    by as much as its start moves along it."""
     slide = np.einsum("aexu,aex->aeu", turns, np.diff(ways, axis=1)) / length[..., None]
     slide = np.concatenate([ways[:, 0], slide.reshape(len(ways), -1)], axis=1)
     along = np.pad(ways[:, 0] / (ways[:, 0] ** 2).sum(axis=1, keepdims=True), ((0, 0), (0, slide.shape[1] - 3)))
     return np.eye(slide.shape[1]) - slide[:, :, None] * along[:, None]
 
 
-def _movement_across(rig: Rig, vertices: np.ndarray, tangents: np.ndarray, turns: np.ndarray, length: np.ndarray
-                     ) -> tuple[np.ndarray, np.ndarray]:
+def _movement_across(rig: Rig, vertices: np.ndarray, ways: np.ndarray, moved: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """((A, C S, P) px per rad: movement of places of the rod's images across these; (A, C S) px: length of image per place).
     Across the images of smooth rods: corners of others would not slide along them."""
-    rods, edges = length.shape
-    moved, ways = _vertex_movement(turns, length), _at_vertices(tangents)
     rows, shares = [], []
     for part in PLACES:
         place = (1 - part) * vertices[:, :-1] + part * vertices[:, 1:]
@@ -294,7 +295,7 @@ def _movement_across(rig: Rig, vertices: np.ndarray, tangents: np.ndarray, turns
     # Places that a camera cannot see do not count.
     blind = ~(np.isfinite(across_image).all(axis=-1) & np.isfinite(share))
     across_image[blind], share[blind] = 0.0, 0.0
-    return across_image.reshape(rods, -1, across_image.shape[-1]), share.reshape(rods, -1)
+    return across_image.reshape(len(vertices), -1, across_image.shape[-1]), share.reshape(len(vertices), -1)
 
 
 def shown_length(rods: Configuration, rig: Rig, detections: Sequence[Sequence[Detection]]) -> np.ndarray:
@@ -302,7 +303,7 @@ def shown_length(rods: Configuration, rig: Rig, detections: Sequence[Sequence[De
     do not look along the rod's end."""
     images = np.nan_to_num(rig.project(rods.vertices), nan=-1e6)
     last = np.zeros(images.shape[:2])
-    of_thread = _of_thread(detections)
+    of_thread = _lines_of(detections)[0]
     for c, row in np.ndindex(last.shape):
         place, far = nearest_place(thinned(of_thread[row][c])[0], images[c, row])
         last[c, row] = place[~far].max(initial=0.0)
@@ -316,12 +317,9 @@ def detected_places(rig: Rig, vertices: np.ndarray, pieces: int, detections: Seq
                     ) -> tuple[np.ndarray, np.ndarray]:
     """Of rods ``vertices`` (A, V, 3) mm whose edges are cut into ``pieces``: (A, C S) the share that was detected of the image
     around each place, as :func:`sharpened` takes the lines, and (A,) px³: Q of all cameras there."""
-    (places, ways), lines = _images_of_places(rig, vertices), line_trees(_of_thread(detections))
-    width = np.nan_to_num([[[detection.width_px] for detection in images] for images in detections])
-    points, tangents, found = lines_at(places, ways, lines)
-    exact = np.zeros(len(found), dtype=bool)
-    others = merged(places, inside_ends(places, found, width, exact), lines, width)
-    shown = _shown(places, found & ~others, lines, width, exact)
+    (places, ways), (_, lines, width) = _images_of_places(rig, vertices), _lines_of(detections)
+    (points, tangents, found), exact = lines_at(places, ways, lines), np.zeros(len(vertices), dtype=bool)
+    shown = _counting(places, found, lines, width, exact)[1]
     length = np.linalg.norm(ways, axis=-1) / len(PLACES)
     section = (np.cumsum(length.reshape(*length.shape[:2], -1), axis=2).reshape(length.shape) / SECTION_PX).astype(np.int64)
     there = _between(found.reshape(*found.shape[:2], -1)).reshape(found.shape)

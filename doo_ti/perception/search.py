@@ -21,15 +21,7 @@ from doo_ti.perception.posterior import detected_places, shown_length, vertex_si
 from doo_ti.perception.traced import SAME_LENGTH, whole_rods
 from doo_ti.relaxation.newton import Newton
 from doo_ti.relaxation.relax import relax
-from doo_ti.rod.frames import (
-    matrix_from_quaternion,
-    quaternion_from_matrix,
-    quaternion_product,
-    smallest_rotation,
-    some_frames,
-    tangent_from_quaternion,
-    unit_vectors,
-)
+from doo_ti.rod import frames
 from doo_ti.rod.types import Clamp, Clamps, Configuration, Material, Solution, Status
 from doo_ti.system.arguments import typed
 from doo_ti.system.errors import InputError, require_whole
@@ -129,12 +121,13 @@ class Search:
     scale: float = field(init=False)  # the largest eigenvalue of B
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "first", some_frames(self.direction))
+        object.__setattr__(self, "first", frames.some_frames(self.direction))
         object.__setattr__(self, "scale", float(np.linalg.eigvalsh(self.material.bend).max()))
 
     def initial_hypotheses(self) -> Hypotheses:
         """One hypothesis of one edge for each set: v⁰ and e⁰ as given, with an arbitrary roll."""
-        return Hypotheses(np.arange(len(self.first)), quaternion_from_matrix(self.first)[:, None], np.zeros(len(self.first)))
+        count, first = len(self.first), frames.quaternion_from_matrix(self.first)
+        return Hypotheses(np.arange(count), first[:, None], np.zeros(count))
 
     def grown(self, kept: Hypotheses) -> Hypotheses:
         """Each hypothesis with each of the edges of least Σ_c E_proj, by the images alone."""
@@ -143,7 +136,7 @@ class Search:
         tip = self.vertices(kept)[:, -1]
         last = kept.quaternions[:, -1]
         local = sampled_directions(options.samples)
-        around = local @ np.swapaxes(matrix_from_quaternion(last), -1, -2)
+        around = local @ np.swapaxes(frames.matrix_from_quaternion(last), -1, -2)
         ends = tip[:, None] + length * around
         segments = np.stack([np.broadcast_to(tip[:, None], ends.shape), ends], axis=2).reshape(-1, 2, 3)
         found = self.errors(segments, np.repeat(kept.of_set, len(local)), options.points)
@@ -151,8 +144,8 @@ class Search:
         chosen = suppress_similar(error, local, options.separation, options.children)
         parent, place = np.nonzero(chosen >= 0)
         toward = around[parent, chosen[parent, place]]
-        turn = smallest_rotation(tangent_from_quaternion(last[parent]), toward)
-        new = quaternion_product(turn, last[parent])
+        turn = frames.smallest_rotation(frames.tangent_from_quaternion(last[parent]), toward)
+        new = frames.quaternion_product(turn, last[parent])
         quaternions = np.concatenate([kept.quaternions[parent], new[:, None]], axis=1)
         return Hypotheses(kept.of_set[parent], quaternions, kept.energy_vis[parent])
 
@@ -183,7 +176,7 @@ class Search:
     def selected(self, grown: Hypotheses) -> np.ndarray:
         """Rows of the hypotheses to keep: the best that differ, at most H of each set."""
         options = self.options
-        direction = tangent_from_quaternion(grown.quaternions[:, -1])
+        direction = frames.tangent_from_quaternion(grown.quaternions[:, -1])
         return select_hypotheses(grown.energy_vis, self.vertices(grown)[:, -1], direction, grown.of_set, options.hypotheses,
                                  options.similar_distance, options.similar_angle)
 
@@ -305,7 +298,7 @@ def _clearly_seen(search: Search, rods: Configuration, of_set: np.ndarray) -> np
     """(R,) bool: every camera sees all of the rod near the detection, and two of them from directions that differ by WIDE."""
     found = search.errors(rods.vertices, of_set, search.piece_points)
     near = found.camera_error <= CLOSE_PX * search.image_length(rods.vertices)
-    sight = unit_vectors(np.stack([rods.vertices.mean(axis=1) - camera.centre for camera in search.rig.cameras], axis=1))
+    sight = frames.unit_vectors(np.stack([rods.vertices.mean(axis=1) - camera.centre for camera in search.rig.cameras], axis=1))
     angle = np.arccos(np.clip(np.einsum("rci,rdi->rcd", sight, sight).min(axis=(1, 2)), -1.0, 1.0))
     return (near & (found.unseen == 0)).all(axis=1) & (angle >= WIDE)
 

@@ -64,16 +64,16 @@ class _Place:
 
 
 def seed_from_pixels(rig: Rig, detections: Sequence[Detection], clicks: Mapping[int, Sequence[float]], source: str,
-                     before: np.ndarray | None = None) -> Seed:
+                     before: np.ndarray | None = None, remedy: str = HELP) -> Seed:
     """Where the rod begins.
 
     detections  of the C cameras
     clicks      camera: (u, v) px; one or more
-    before      (3,) mm, where it began a moment before, if known: other places count as worse by how far they are, px
+    before      (3,) mm, where it began before, if known: others cost how far they are, px; remedy: said where no thread is
 
     Raises InputError, naming ``source``, for a single camera, and where no thread is near a click, or no other line fits.
     """
-    tried = [(cost, _settled(*rest)) for cost, *rest in _beginnings(rig, detections, clicks, source)]
+    tried = [(cost, _settled(*rest)) for cost, *rest in _beginnings(rig, detections, clicks, source, remedy)]
     if before is not None:
         away = rig.project(np.stack([seed.point for _, seed in tried])) - rig.project(before[None])
         far = np.nan_to_num(np.linalg.norm(away, axis=-1).mean(axis=0), nan=1e6)  # NaN: behind a camera
@@ -91,12 +91,12 @@ def fit_better(rig: Rig, others: Mapping[str, Rig], detections: Sequence[Detecti
     first = min(clicks)
     pair = first, next(camera for camera in range(len(detections)) if camera != first)
     images, click = [detections[camera] for camera in pair], {0: clicks[first]}
-    if _clicked(images[0], Chains.of(images[0]), np.asarray(clicks[first], dtype=float), "").along == INSIDE_PX:
+    if _clicked(images[0], Chains.of(images[0]), np.asarray(clicks[first], dtype=float), "", "").along == INSIDE_PX:
         return []  # a click within a line is not the rod's end: costs from there do not tell rigs apart
 
     def least(one: Rig) -> float:
         try:
-            return min(cost for cost, *_ in _beginnings(one.take(pair), images, click, "", FEW_PLACES))
+            return min(cost for cost, *_ in _beginnings(one.take(pair), images, click, "", "", FEW_PLACES))
         except InputError:
             return np.inf
 
@@ -108,13 +108,13 @@ def fit_better(rig: Rig, others: Mapping[str, Rig], detections: Sequence[Detecti
 
 
 def _beginnings(rig: Rig, detections: Sequence[Detection], clicks: Mapping[int, Sequence[float]], source: str,
-                places: int = MOST_PLACES) -> list[tuple]:
+                remedy: str, places: int = MOST_PLACES) -> list[tuple]:
     """(cost in px, arguments of :func:`_settled`) of all choices of where the rod of :func:`seed_from_pixels`, which raises
     these errors, begins; curves are compared through so many ``places`` at most."""
     if len(rig.cameras) == 1:
         raise InputError(source, "--seed-pixel", "one camera does not see how far away the rod begins", "give --seed-point")
     lines = [Chains.of(detection) for detection in detections]
-    given = {camera: _clicked(detections[camera], lines[camera], np.asarray(click, dtype=float), source)
+    given = {camera: _clicked(detections[camera], lines[camera], np.asarray(click, dtype=float), source, remedy)
              for camera, click in clicks.items()}
     known = min(given, key=lambda camera: (given[camera].along, camera))
     order = [known, *(camera for camera in range(len(lines)) if camera != known)]
@@ -129,19 +129,19 @@ def _beginnings(rig: Rig, detections: Sequence[Detection], clicks: Mapping[int, 
         if begun is not None:
             found.append((begun[0] + miss, *begun[1:]))
     if not found:
-        remedy = "give another pixel, --seed-point, or images in the order of the cameras"
-        raise InputError(source, "--seed-pixel", "no thread can be followed from there", remedy)
+        raise InputError(source, "--seed-pixel", "no thread can be followed from there",
+                         "give another pixel, --seed-point, or images in the order of the cameras")
     return found
 
 
-def _clicked(detection: Detection, line: Chains, click: np.ndarray, source: str) -> _Place:
+def _clicked(detection: Detection, line: Chains, click: np.ndarray, source: str, remedy: str) -> _Place:
     """The end near the click, else the place of the line nearest to it."""
     points, direction = thinned(detection)
     apart = np.linalg.norm(points - click, axis=1)
     nearest = int(apart.argmin())
     if apart[nearest] > CLICK_PX:
         raise InputError(source, "--seed-pixel", f"{click[0]:g},{click[1]:g}: nothing was detected there, the nearest thread "
-                         f"is {apart[nearest]:.0f} px away", f"if it is on the thread, {HELP}")
+                         f"is {apart[nearest]:.0f} px away", f"if it is on the thread, {remedy}")
     ends = _ends(detection, line)
     off = [np.linalg.norm(end.pixel - click) for end in ends]
     if min(off, default=np.inf) <= END_PX:

@@ -28,6 +28,7 @@ from scipy.spatial import cKDTree
 from doo_ti.rod.frames import curve_length, normal_to
 from doo_ti.system.arguments import typed
 from doo_ti.system.errors import InputError
+from doo_ti.vision import ridge
 from doo_ti.vision.detection import (
     WIDEST_GLINT,
     Detection,
@@ -40,27 +41,7 @@ from doo_ti.vision.detection import (
     in_whole_pixels,
     moved,
     thinned,
-)
-from doo_ti.vision.ridge import (
-    BAR,
-    LEAST_BALANCE,
-    REACH_PX,
-    SURE,
-    WORKING_WIDTH,
-    Appearance,
-    Curvature,
-    Ridges,
-    appearance,
-    as_colour,
-    between_edges,
-    dull,
-    edges_about,
-    gradient,
-    lab,
-    likeness,
-    likeness_table,
-    of_a_thread,
-    pieces,
+    to_tips,
 )
 
 CANNY_STRONG, CANNY_WEAK = 0.4, 0.15  # Canny's thresholds over the slope of the thread's edges
@@ -69,7 +50,7 @@ MEETING = 0.5  # least share of votes on the centre line, of those of two comple
 STEEPEST = 8000  # slope of the thread's edges in the whole numbers that Canny takes
 
 
-def _canny_line(image: np.ndarray, look: Appearance, least_contrast: float, shortest_px: float) -> Detection:
+def _canny_line(image: np.ndarray, look: ridge.Appearance, least_contrast: float, shortest_px: float) -> Detection:
     """The pixels of the centre line in an image (H, W) float32.
 
     "A Canny edge detector with a blurred, offset Gaussian kernel" (§IV-A): every edge pixel votes for the place half a thread's
@@ -80,7 +61,7 @@ def _canny_line(image: np.ndarray, look: Appearance, least_contrast: float, shor
     least_contrast  grey levels: fainter edges are ignored
     shortest_px     of a piece of line
     """
-    slope = gradient(image)
+    slope = ridge.gradient(image)
     whole = np.clip(np.rint(slope * (STEEPEST / look.slope)), -32767, 32767).astype(np.int16)
     floor = 0.25 * least_contrast / look.slope
     weak, strong = (STEEPEST * max(share, floor) for share in (CANNY_WEAK, CANNY_STRONG))
@@ -96,9 +77,9 @@ def _canny_line(image: np.ndarray, look: Appearance, least_contrast: float, shor
     votes, across, down = (cv2.GaussianBlur(ballot, (0, 0), VOTE_BLUR_PX, borderType=cv2.BORDER_CONSTANT) for ballot in ballots)
     # Votes that coincide with votes from the other edge, 1 for two complete edges.
     meeting = (votes - np.sqrt(across * across + down * down)) * np.float32(VOTE_BLUR_PX * np.sqrt(2 * np.pi) / 2)
-    ridges = Curvature(meeting, VOTE_BLUR_PX).ridges("light", 1e-3)
-    ridges = ridges[(meeting[ridges.row, ridges.column] >= MEETING) & (np.abs(ridges.offset) <= REACH_PX)]
-    ridges = ridges[pieces(ridges, 0.0, shortest_px) > 0]
+    ridges = ridge.Curvature(meeting, VOTE_BLUR_PX).ridges("light", 1e-3)
+    ridges = ridges[(meeting[ridges.row, ridges.column] >= MEETING) & (np.abs(ridges.offset) <= ridge.REACH_PX)]
+    ridges = ridges[ridge.pieces(ridges, 0.0, shortest_px) > 0]
     pixels = np.stack([ridges.column, ridges.row], axis=1).astype(np.float64)
     return Detection(pixels, ridges.tangent, look.slope * ridges.strength, look.width_px, look.polarity, image.shape, "canny")
 
@@ -124,22 +105,22 @@ def detect(image: np.ndarray, options: DetectionOptions = DetectionOptions()) ->
     image = np.asarray(image)
     part, corner = image_part(image, options)
     if options.colour is not None:
-        table = likeness_table([lab(np.array(options.colour[::-1]))], shaded=options.shaded)
-        line, polarity = likeness(as_colour(part), table), "light"
+        table = ridge.likeness_table([ridge.lab(np.array(options.colour[::-1]))], shaded=options.shaded)
+        line, polarity = ridge.likeness(ridge.as_colour(part), table), "light"
     else:
-        grey = part if part.ndim == 2 else cv2.cvtColor(as_colour(part), cv2.COLOR_BGR2GRAY)
+        grey = part if part.ndim == 2 else cv2.cvtColor(ridge.as_colour(part), cv2.COLOR_BGR2GRAY)
         line, polarity = grey.astype(np.float32), options.polarity
-    look = appearance(line, polarity, options.width_px, options.least_contrast)
+    look = ridge.appearance(line, polarity, options.width_px, options.least_contrast)
     found = None if look is None else _line(line, look, options)
     if found is None or not found.count:
         return Detection.none(image.shape[:2], options.method)
     if options.colour is not None:
-        points, width = between_edges(as_colour(part), found.points, found.direction, found.width_px)
+        points, width = ridge.between_edges(ridge.as_colour(part), found.points, found.direction, found.width_px)
         found = replace(found, points=points, width_px=width, method="colour")
     return replace(moved(found, corner), shape=image.shape[:2])
 
 
-def _line(image: np.ndarray, look: Appearance, options: DetectionOptions) -> Detection:
+def _line(image: np.ndarray, look: ridge.Appearance, options: DetectionOptions) -> Detection:
     """The centre line of the thread in an image (H, W) float32."""
     left, top, right, bottom = look.box
     image = image[top:bottom, left:right]
@@ -150,7 +131,7 @@ def _line(image: np.ndarray, look: Appearance, options: DetectionOptions) -> Det
         return moved(in_whole_pixels(_canny_line(small, in_small, *least), scale), (left, top))
     found, count = _ridge_line(small, in_small, *least)
     if (look.shiny or count != 1) and WIDEST_GLINT * look.width_px >= 2:  # glints may have parted it
-        plain = dull(image, look.polarity, WIDEST_GLINT * look.width_px)
+        plain = ridge.dull(image, look.polarity, WIDEST_GLINT * look.width_px)
         whole, parts = _ridge_line(_halved(plain, look.width_px)[0], in_small, *least)
         more = whole.count > (SAME if parts < count else MORE) * found.count
         if look.shiny or more and (not found.count or np.median(
@@ -159,44 +140,44 @@ def _line(image: np.ndarray, look: Appearance, options: DetectionOptions) -> Det
     found = in_whole_pixels(_continued(small, found), scale)
     if scale > 1:
         # Where the line has both edges in the image itself, its middle is between these.
-        usual = found.widths == look.width_px
+        usual = found.widths <= 1.5 * look.width_px + 1
         normal = normal_to(found.direction)
-        edges, about = edges_about(image, found.points, normal, look.polarity, look.width_px)
-        sound = usual & about & (edges.balance > LEAST_BALANCE)
+        edges, about = ridge.edges_about(image, found.points, normal, look.polarity, look.width_px)
+        sound = usual & about & (edges.balance > ridge.LEAST_BALANCE)
         found = replace(found, points=found.points + np.where(sound, edges.shift, 0.0)[:, None] * normal)
-    return moved(found, (left, top))
+    return moved(to_tips(found, image, look.slope), (left, top))
 
 
 def _halved(image: np.ndarray, width: float) -> tuple[np.ndarray, float]:
     """The image, halved until a line of that width is at most WORKING_WIDTH px wide, and px of the image to one of it."""
-    halvings = max(0, int(np.ceil(np.log2(width / WORKING_WIDTH))))
+    halvings = max(0, int(np.ceil(np.log2(width / ridge.WORKING_WIDTH))))
     for _ in range(halvings):
         image = cv2.pyrDown(image)
     return image, 2.0**halvings
 
 
-def _ridge_line(image: np.ndarray, look: Appearance, least_contrast: float, shortest_px: float) -> tuple[Detection, int]:
+def _ridge_line(image: np.ndarray, look: ridge.Appearance, least_contrast: float, shortest_px: float) -> tuple[Detection, int]:
     """As :func:`_canny_line`: ridges at the thread's width, each moved to the middle between the two edges; and the number of
     pieces that they are in."""
-    curvature = Curvature(image, max(SMALLEST_SIGMA, SIGMA_PER_WIDTH * look.width_px))
-    certain = max(SURE * curvature.noise(), BAR * least_contrast)
+    curvature = ridge.Curvature(image, max(SMALLEST_SIGMA, SIGMA_PER_WIDTH * look.width_px))
+    certain = max(ridge.SURE * curvature.noise(), ridge.BAR * least_contrast)
     ridges = curvature.ridges(look.polarity, certain / 2)
     typical = (ridges.strength**3).sum() / max((ridges.strength**2).sum(), 1e-30)
     ridges = ridges[ridges.strength >= WEAK * typical]
-    edges, about = edges_about(image, ridges.point, ridges.normal, look.polarity, look.width_px)
-    sound = about & of_a_thread(edges, ridges.strength) & (np.abs(ridges.offset + edges.shift) <= REACH_PX)
+    edges, about = ridge.edges_about(image, ridges.point, ridges.normal, look.polarity, look.width_px)
+    sound = about & ridge.of_a_thread(edges, ridges.strength) & (np.abs(ridges.offset + edges.shift) <= ridge.REACH_PX)
     ridges, width = ridges.moved(edges.shift)[sound], edges.width[sound]
     within = _within_ends(ridges, image.shape, curvature.sigma)
     ridges, width = ridges[within], width[within]
-    piece = pieces(ridges, max(certain, STRONG * typical), max(shortest_px, look.width_px))
+    piece = ridge.pieces(ridges, max(certain, STRONG * typical), max(shortest_px, look.width_px))
     kept = np.flatnonzero(piece)
     kept = kept[_alike(piece[kept], width[kept], ridges.strength[kept])]
     ridges = ridges[kept]
-    return (Detection(ridges.point, ridges.tangent, ridges.strength, look.width_px, look.polarity, image.shape, "ridge"),
-            len(np.unique(piece[kept])))
+    return (Detection(ridges.point, ridges.tangent, ridges.strength, look.width_px, look.polarity, image.shape, "ridge",
+                      width[kept]), len(np.unique(piece[kept])))
 
 
-def _within_ends(ridges: Ridges, shape: tuple[int, int], sigma: float) -> np.ndarray:
+def _within_ends(ridges: ridge.Ridges, shape: tuple[int, int], sigma: float) -> np.ndarray:
     """(N,) bool: points that are not beyond an end of their line, where it has HALF of its strength after smoothing by σ px.
     Weak points between others, as where the background is brighter, are of a line that goes on."""
     at, strength, weak = (ridges.row + 1, ridges.column + 1), *np.zeros((2, shape[0] + 2, shape[1] + 2), dtype=np.float32)
@@ -253,7 +234,7 @@ def _darkness(image: np.ndarray, thread: Detection) -> np.ndarray:
     side = 2 * int(np.ceil(1.25 * max(TIMES) * thread.width_px)) + 1
     kernel = cv2.getStructuringElement(cv2.MORPH_RECT, (side, side))
     kind = cv2.MORPH_BLACKHAT if thread.polarity == "dark" else cv2.MORPH_TOPHAT
-    contrast = float(np.median(thread.strength)) / BAR
+    contrast = float(np.median(thread.strength)) / ridge.BAR
     return np.minimum(cv2.morphologyEx(image, kind, kernel) * np.float32(255 / contrast), np.float32(255))
 
 
@@ -263,9 +244,9 @@ def _wide_lines(dark: np.ndarray, width: float, own: np.ndarray, usual: float) -
     wide = width / scale
     side = 2 * int(np.ceil(wide / 2)) + 1
     closed = cv2.morphologyEx(small, cv2.MORPH_CLOSE, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (side, side)))
-    ridges = Curvature(closed, SIGMA_PER_WIDTH * wide).ridges("light", LEAST_STRENGTH * BAR * 255)
-    edges, about = edges_about(closed, ridges.point, ridges.normal, "light", wide)
-    sound = about & (np.abs(ridges.offset + edges.shift) <= REACH_PX) & (edges.balance > 0)
+    ridges = ridge.Curvature(closed, SIGMA_PER_WIDTH * wide).ridges("light", LEAST_STRENGTH * ridge.BAR * 255)
+    edges, about = ridge.edges_about(closed, ridges.point, ridges.normal, "light", wide)
+    sound = about & (np.abs(ridges.offset + edges.shift) <= ridge.REACH_PX) & (edges.balance > 0)
     ridges = ridges.moved(edges.shift)[sound]
     found = in_whole_pixels(Detection(ridges.point, ridges.tangent, ridges.strength, wide, "light", dark.shape, "ridge",
                                       edges.width[sound]), scale)
@@ -307,13 +288,13 @@ def detect_mask(mask: np.ndarray, options: DetectionOptions = DetectionOptions()
         raise InputError("detection", "mask", f"shape {mask.shape} of {mask.dtype}", "give (H, W) numbers, at least 16 x 16")
     part, corner = cropped(mask, options)
     least = 0 if len(np.unique(mask)) <= LABELS else mask.max() / 2
-    roof, scale = _roof(_cleaned(part > least))
-    ridges = Curvature(roof, SIGMA).ridges("light", 0.1)
+    inside, roof, scale = _roof(_cleaned(part > least))
+    ridges = ridge.Curvature(roof, SIGMA).ridges("light", 0.1)
     half = roof[ridges.row, ridges.column].astype(np.float64)
     full = 2 * SIGMA / np.sqrt(2 * np.pi) * (1 - np.exp(-0.5 * (half / SIGMA) ** 2))
-    kept = (ridges.strength >= CREST * full) & (np.abs(ridges.offset) <= REACH_PX) & (half > 0)
+    kept = (ridges.strength >= CREST * full) & (np.abs(ridges.offset) <= ridge.REACH_PX) & (half > 0)
     ridges, half = ridges[kept], half[kept]
-    kept = pieces(ridges, 0.0, options.shortest_px / scale) > 0
+    kept = ridge.pieces(ridges, 0.0, options.shortest_px / scale) > 0
     ridges, half = ridges[kept], half[kept]
     # Distances are from pixel to pixel: half a pixel lies beyond the border.
     width = 2 * (half + np.abs(ridges.offset)) - 1
@@ -321,6 +302,7 @@ def detect_mask(mask: np.ndarray, options: DetectionOptions = DetectionOptions()
         return replace(Detection.none(mask.shape, "mask"), width=width)
     found = Detection(ridges.point, ridges.tangent, np.full(len(width), 255.0), float(np.median(width)), "light", mask.shape,
                       "mask", width)
+    found = to_tips(found, inside, 255 / np.sqrt(2 * np.pi), 0.5 - 0.5 / scale)
     return moved(in_whole_pixels(found, scale), corner)
 
 
@@ -335,15 +317,16 @@ def _cleaned(inside: np.ndarray) -> np.ndarray:
     return inside.astype(np.uint8)
 
 
-def _roof(inside: np.ndarray) -> tuple[np.ndarray, float]:
-    """(h, w) float32: px from the nearest pixel outside, halved where the thread is wide, and px of the mask to one of it."""
-    scale = 1.0
+def _roof(inside: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
+    """(h, w) float32 twice: the mask, 255 within, and px from the nearest pixel outside; both halved where the thread is wide;
+    and px of the mask to one of it."""
+    level, scale = 255 * inside.astype(np.float32), 1.0
     while True:
         # The thread goes on beyond the image's border; distances to nothing would have no end.
         roof = cv2.distanceTransform(np.pad(inside, 2, mode="edge"), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)[2:-2, 2:-2]
         # Squares of distances are whole numbers; their rounding differs with the number of OpenCV's threads.
         roof = np.sqrt(np.rint(np.square(roof, dtype=np.float64))).astype(np.float32)
         roof = np.minimum(roof, max(inside.shape))
-        if not inside.any() or 4 * np.median(roof[inside > 0]) <= WORKING_WIDTH or min(inside.shape) < 32:
-            return np.ascontiguousarray(roof), scale
-        inside, scale = (cv2.pyrDown(255 * inside) > 127).astype(np.uint8), 2 * scale
+        if not inside.any() or 4 * np.median(roof[inside > 0]) <= ridge.WORKING_WIDTH or min(inside.shape) < 32:
+            return level, np.ascontiguousarray(roof), scale
+        inside, level, scale = (cv2.pyrDown(255 * inside) > 127).astype(np.uint8), cv2.pyrDown(level), 2 * scale

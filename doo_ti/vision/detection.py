@@ -5,12 +5,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Annotated
 
+import cv2
 import numpy as np
 from scipy.spatial import cKDTree
 
-from doo_ti.rod.frames import arc_lengths, curve_length, normal_to
+from doo_ti.rod.frames import arc_lengths, curve_length, normal_to, unit_vectors
 from doo_ti.system.arguments import short_repr, typed
 from doo_ti.system.errors import InputError
+from doo_ti.vision.ridge import POINTS_PER_PX, STEP_PX, gradient, peak
 
 METHODS = ("ridge", "canny")
 POLARITIES = ("dark", "light")
@@ -283,3 +285,56 @@ def edges_of(points: np.ndarray, own: list[np.ndarray], parts: Sequence[Detectio
     if not edges:
         return np.zeros(len(points), dtype=bool)
     return cKDTree(np.concatenate(edges)).query(points)[0] <= 1.0
+
+
+# --- tips ------------------------------------------------------------------------------------------------------------------
+
+THIN_PX = 3.0  # width of a thread that is hardly wider than the blur of its edges: that it ends early does not show
+TIP = 0.3  # least slope of the image along the thread at its tip, over that at its edges
+ACROSS = np.linspace(-0.2, 0.2, 5)  # widths aside of the line, where the image is looked at for that
+BEYOND = 0.75  # widths beyond the end of a line up to which the tip may be
+
+
+def to_tips(found: Detection, image: np.ndarray, slope: float, before: float = 0.0) -> Detection:
+    """What was ``found`` in an image (H, W) float32, with lines that end where the thread does. Near its tip edges turn, and
+    the roof of a mask parts towards corners: so lines go on from half a width before it, as bent as they are, to where the
+    image changes most along them. Where there are other lines, they stay as they are.
+
+    slope   of the thread's edges, in grey levels per px
+    before  px by which lines are to end before tips
+    """
+    chains, slopes = chains_of(*single(found)), gradient(image) * (-1 if found.polarity == "light" else 1)
+    tree, widths, kept, rows, tips = cKDTree(found.points), found.widths, np.ones(found.count, dtype=bool), [], []
+    for k, way in np.ndindex(len(chains), 2):
+        chain = chains[k][::-1] if way else chains[k]
+        arc, wide = arc_lengths(chain), float(np.median(widths[tree.query(chain[: int(4 * END_PX)])[1]]))
+        if wide < THIN_PX or arc[-1] < max(2 * wide, 3 * END_PX):
+            continue
+        place, cut = np.arange(0.5 * wide, -BEYOND * wide - 2, -STEP_PX), 0.5 * wide
+        for _ in range(2):  # how the line is bent is known up to half a width before the tip
+            begin, end = np.searchsorted(arc, [cut, cut + max(1.5 * wide, 3 * END_PX)])
+            bent = np.polyfit(arc[begin:end], chain[begin:end], 2)
+            at, ahead = np.vander(place, 3) @ bent, -unit_vectors(np.vander(2 * place, 2) @ bent[:2])
+            x, y = np.moveaxis((at + wide * ACROSS[:, None, None] * normal_to(ahead)).astype(np.float32), -1, 0)
+            change = cv2.remap(slopes, x, y, cv2.INTER_CUBIC, borderMode=cv2.BORDER_CONSTANT)
+            where, most = peak((change * ahead).sum(axis=-1).mean(axis=0)[None])
+            last = place[0] - STEP_PX * where[0]
+            cut = max(last + 0.5 * wide, 0.0)
+        place = last + before + np.arange(0.0, 0.5 * wide, 1 / POINTS_PER_PX)
+        at, ahead = np.vander(place, 3) @ bent, -unit_vectors(np.vander(2 * place, 2) @ bent[:2])
+        inside = (at[0] > 0).all() and (at[0] < np.array(image.shape[::-1]) - 1).all()
+        others = [one for j, one in enumerate(chains) if j != k and curve_length(one) > wide]
+        apart = cKDTree(at).query(np.concatenate([*others, chain[end:]]))[0]
+        if not inside or most[0] < TIP * slope or (apart < wide).any():
+            continue
+        away = found.points - at[-1]
+        behind, aside = away @ ahead[-1], np.abs(away @ normal_to(ahead[-1]))
+        kept &= (behind < 0) | (behind > 1.5 * wide + 2) | (aside > 0.5 * wide + 1)
+        rows.append(np.full(len(at), tree.query(chain[begin])[1]))
+        tips.append(np.stack([at, ahead]))
+    if not tips:
+        return found
+    points, direction = np.concatenate(tips, axis=1)
+    longer = found.take(np.concatenate([np.flatnonzero(kept), *rows]))
+    return replace(longer, points=np.concatenate([found.points[kept], points]),
+                   direction=np.concatenate([found.direction[kept], direction]))

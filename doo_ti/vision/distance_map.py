@@ -198,6 +198,7 @@ def _search(
 BESIDE_PX = 2.0  # distance of points that follow each other along a line
 ALIKE = 0.8  # least cosine between directions of a line: other strands cross it
 WIDER = 1.75  # times its width a thread is not: what it is tied to, or held by, may be
+THICKER = 1.1  # times its width, and a pixel, along a piece of line is what a thread is not that has one thickness
 SAME_PX, FAR_PX, MOST_IMAGE_PX = 1.5, 12, 1e5
 """A rod's image passes along itself where parts are so near to each other, and so far along it; and the longest image that is
 looked at: rods behind a camera have no end."""
@@ -234,7 +235,7 @@ def misread(rig: Rig, vertices: np.ndarray, detections: list[list[Detection]]) -
     outside  share of the line that no other camera's image shows, at the depth of the nearest vertex
     skipped  longest piece of the rest of the line that the rod leaves out between its ends, in widths of the thread
     twice    length of the rod's image that passes along another part of it, in widths of the thread
-    wider    longest piece of the line along the rod that is far wider than the thread, in widths of the thread
+    wider    longest piece of the line along the rod that is wider than the thread is at its depth, in widths of the thread
     left     px of the line that are :func:`left_out`
     """
     found = {name: np.zeros((len(vertices), len(rig.cameras))) for name in (*ERRORS, "left")}
@@ -257,8 +258,10 @@ def misread(rig: Rig, vertices: np.ndarray, detections: list[list[Detection]]) -
             skipped[row, c] = _longest_piece(points[far & ~alone & between]) / detection.width_px
             left[row, c] = left_out(points, far & ~alone).sum()
             twice[row, c] = _passed_twice(image) / detection.width_px
-            wide = np.unique(np.rint(detection.points[detection.widths > WIDER * detection.width_px]), axis=0)
-            wider[row, c] = _longest_piece(wide[~nearest_place(wide, image)[1]]) / detection.width_px
+            place, far = nearest_place(detection.points, image)
+            diameter = detection.widths * camera.depth(rod)[place.astype(int)]  # of what all pieces of a thread have the same
+            wide = ~far & (detection.widths > 1 + THICKER * (detection.widths * np.median(diameter[~far]) / diameter))
+            wider[row, c] = _longest_piece(np.unique(np.rint(detection.points[wide]), axis=0)) / detection.width_px
     return found
 
 

@@ -248,43 +248,48 @@ def thread_beyond(rig: Rig, rods: Configuration, detections: Sequence[Sequence[D
                   ) -> np.ndarray:
     """(A, 2) mm of thread that may go on beyond rods' starts, of those ``from_start`` (A,) bool, and beyond their ends: in the
     camera that shows most, at the scale of the rod's image. Behind a wide gap two cameras must show it: one may show anything.
+    There it is the gain of both together that counts, as the piece behind the gap may be short in one of them.
     """
-    beyond, images = np.zeros((len(detections), 2, len(rig.cameras), 2)), rig.project(rods.vertices)
+    beyond, images = np.zeros((len(detections), 2, len(rig.cameras), 3)), rig.project(rods.vertices)
     for c, row in np.ndindex(images.shape[:2]):
         line, wide = Chains.of(detections[row][c]), max(NEAR_PX, detections[row][c].width_px)
         for end, way in enumerate((-1, 1)):
             if end or from_start[row]:
                 beyond[row, end, c] = _lines_beyond(line, wide, images[c, row, ::way]) / max(curve_length(images[c, row]), 1e-9)
-    behind = np.sort(beyond[..., 1], axis=-1)[..., -2:].min(axis=-1)
+    two = np.argsort(np.where(beyond[..., 2] > 0, beyond[..., 1], -np.inf), axis=-1)[..., -2:]
+    gain, behind = (np.take_along_axis(beyond[..., kind], two, axis=-1) for kind in (1, 2))
+    behind = np.where(gain.sum(axis=-1) > 0, behind.min(axis=-1), 0.0)
     return np.maximum(beyond[..., 0].max(axis=-1), behind) * rods.rest_length.sum(axis=-1).reshape(-1, 1)
 
 
 def _lines_beyond(line: Chains, wide: float, image: np.ndarray) -> np.ndarray:
-    """(2,) px of line that goes on beyond the end of a rod's ``image`` (V, 2), which is ``wide`` px or less: on the path that
-    explains most for its cost, and where turning in gaps costs nothing. Corners do not count: what a thread ends on goes on to
-    the side."""
+    """(3,) px: of line that goes on beyond the end of a rod's ``image`` (V, 2), which is ``wide`` px or less, on the path that
+    explains most for its cost; and, where turning in gaps costs nothing, by how much that behind gaps is longer than these, on
+    the path of which that is most, and the line on it. Corners do not count: what a thread ends on goes on to the side."""
     arc = arc_lengths(image)
     if not line.points or not arc[-1] <= MOST_IMAGE_PX:
-        return np.zeros(2)
+        return np.zeros(3)
     rod = cKDTree(placed(np.arange(0.0, arc[-1] + 0.5, 0.5), arc, image))
     every, chain, place = _numbered(line.points)
     padded = [np.pad(points, ((1, 1), (0, 0)), mode="edge") for points in line.points]
     along = unit_vectors(np.concatenate([points[2:] - points[:-2] for points in padded])) @ outward(image, 1)
     on = (rod.query(every)[0] <= NEAR_PX) & (np.abs(along) >= ALIKE)
     if not on.any():
-        return np.zeros(2)
+        return np.zeros(3)
     last = int(np.where(on, np.linalg.norm(every - image[-1], axis=1), np.inf).argmin())
     way, own = int(along[last] > 0), line.points[chain[last]]
     rest = own[place[last] :] if way else own[place[last] :: -1]
-    best, most = np.zeros(2), np.full(2, -np.inf)
+    plain, behind = (-np.inf, 0.0), (0.0, 0.0)  # gain, and line
     for _, (own, *others), cost in _searched(line.points, line.joints, int(chain[last]), own if way else own[::-1], way, 0.0):
         joints = [*pairwise([own, *others])]
         if all(-outward(after, 0) @ outward(before, 1) >= FORWARD for before, after in joints):
             gaps = sum(np.linalg.norm(after[0] - before[-1]) for before, after in joints)
-            gain = sum(map(curve_length, others)) - np.array([cost, gaps])
+            length = sum(map(curve_length, others))
             new = sum(curve_length(piece) * (rod.query(piece)[0] > wide).mean() for piece in (rest, *others))
-            best, most = np.where(gain > most, new, best), np.maximum(gain, most)
-    return best
+            plain = max(plain, (length - cost, new))
+            if others and new > 0:
+                behind = max(behind, (length - gaps, new)) if behind[1] else (length - gaps, new)
+    return np.array([plain[1], *behind])
 
 
 def lines_at(places: np.ndarray, ways: np.ndarray, lines: Lines) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

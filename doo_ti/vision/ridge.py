@@ -163,8 +163,8 @@ def edges_across(gradients: np.ndarray, point: np.ndarray, normal: np.ndarray, p
         at = (point[rows, None] + place[:, None] * normal[rows, None]).astype(np.float32)
         sampled = cv2.remap(gradients, at[..., 0], at[..., 1], cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
         slope[rows] = (sampled * normal[rows, None].astype(np.float32)).sum(axis=-1) * (1 if polarity == "dark" else -1)
-    left, fall = _peak(-slope[:, middle::-1])
-    right, rise = _peak(slope[:, middle:])
+    left, fall = peak(-slope[:, middle::-1])
+    right, rise = peak(slope[:, middle:])
     left, right, weaker = -left * STEP_PX, right * STEP_PX, np.minimum(fall, rise)
     return Edges((left + right) / 2, right - left, weaker, weaker / np.maximum(np.maximum(fall, rise), 1e-30))
 
@@ -176,7 +176,7 @@ def edges_about(image: np.ndarray, point: np.ndarray, normal: np.ndarray, polari
     return edges, (edges.width > width / 2) & (edges.width < 1.5 * width + 1)
 
 
-def _peak(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def peak(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Place, in columns, and height of each row's highest value, by the parabola through it and its neighbours."""
     rows = np.arange(len(values))
     at = np.clip(np.argmax(values, axis=1), 1, values.shape[1] - 2)

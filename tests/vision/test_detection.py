@@ -7,7 +7,7 @@ from scipy.interpolate import CubicSpline
 from scipy.ndimage import map_coordinates
 from scipy.spatial import cKDTree
 
-from doo_ti import DetectionOptions, detect, load_rig
+from doo_ti import DetectionOptions, detect, detect_mask, load_rig
 from doo_ti.rod.frames import arc_lengths
 from doo_ti.vision.images import read_image
 from doo_ti.vision.render import RenderOptions, render_set
@@ -180,3 +180,20 @@ def test_what_cannot_be_drawn_is_refused():
         check_refused(": ", RenderOptions, **change)
     for rod, diameter in ((bow()[:1], 1), (bow() * np.nan, 1), (bow()[[0, 0, 1]], 1), (bow(), 0), (bow(), 1e300)):
         check_refused(": ", render_set, small_rig(), rod, diameter)
+
+
+@pytest.mark.parametrize("width", [4, 7, 13, 24, 40])
+@pytest.mark.parametrize("cap", ["flat", "round"])
+def test_lines_end_at_the_tips_of_threads(width, cap, rng):
+    """Bands drawn by supersampling, at any angle and phase; of grey pictures and of masks."""
+    for _ in range(3):
+        side, angle = 9 * width + 80, rng.uniform(0, np.pi)
+        axis, place = np.array([np.cos(angle), np.sin(angle)]), (np.arange(8 * side) + 0.5) / 8 - 0.5
+        middle, half = side / 2 + rng.uniform(-0.5, 0.5, 2), 3 * width + 20
+        x, y = place - middle[0], (place - middle[1])[:, None]
+        along, aside = np.abs(x * axis[0] + y * axis[1]), np.abs(y * axis[0] - x * axis[1])
+        short = half if cap == "flat" else half - width / 2 + np.sqrt(np.maximum(width**2 / 4 - aside**2, 0))
+        inside = ((along <= short) & (aside <= width / 2)).reshape(side, 8, side, 8).mean(axis=(1, 3))
+        for found in (detect(200 - 140 * cv2.GaussianBlur(inside, (0, 0), 0.7)), detect_mask(inside > 0.5)):
+            reach = (found.points - middle) @ axis
+            assert np.abs([reach.max() - half, reach.min() + half]).max() < 0.5 + 0.02 * width

@@ -12,6 +12,7 @@ from scipy.spatial import cKDTree
 from doo_ti import DetectionOptions, Rig, detect, detect_mask, follow, load_rig
 from doo_ti.io.scene import load_scene
 from doo_ti.perception.virtual_lab import lab_rods
+from doo_ti.rod.frames import unit_vectors
 from doo_ti.vision.render import render_set
 from doo_ti.vision.sight import Sight
 from doo_ti.vision.tubes import smooth_curve
@@ -117,8 +118,9 @@ def test_the_centre_line_of_a_mask(width, rough):
     curve, pixels = wave(), np.stack(np.meshgrid(np.arange(600), np.arange(400)), axis=-1)
     distance = cKDTree(curve).query(pixels, distance_upper_bound=2.0 * width)[0]
     noise = cv2.GaussianBlur(np.random.default_rng(1).normal(0, rough, SIZE), (0, 0), 1) / 25
-    found = detect_mask(distance + noise < width / 2)
-    assert min(shares(found.points, curve, 1.5 if width < 40 else 3)) > 0.97
+    found, caps = detect_mask(distance + noise < width / 2), np.linspace(0, width / 2, 99)[:, None]
+    tips = [curve[end] + caps * unit_vectors(curve[end] - curve[beside]) for end, beside in ((0, 1), (-1, -2))]
+    assert min(shares(found.points, np.concatenate([curve, *tips]), 1.5 if width < 40 else 3)) > 0.97
     assert found.width_px == pytest.approx(width, abs=1.5) and found.width.shape == (found.count,)
 
 
