@@ -161,6 +161,7 @@ def test_a_ribbon_under_both_objectives_and_its_regimes(lab, tmp_path, capsys):
         "observed", "1: β > B₁₁ and B₂₂", "2: B₂₂ > B₁₁ > β", "3: B₁₁ > B₂₂ > β"]
 
 
+@pytest.mark.thorough
 def test_a_large_grid_is_thinned_and_that_is_reported(one_run, tmp_path, capsys):
     printed = succeeded(capsys, f"figures {one_run}/silk --cells 6 --out {tmp_path}")
     assert "recorded    6 cells: " in printed and "of 4 values of bend" in printed and "--cells all" in printed

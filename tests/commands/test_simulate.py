@@ -156,6 +156,7 @@ def test_wrong_scenes_are_one_line(old, new, field, tmp_path, capsys):
     refused(capsys, tmp_path, "simulate scene.toml --out f.npz", field)
 
 
+@pytest.mark.thorough
 def test_energy_that_the_time_steps_lose_is_said(capsys):
     """A stiff rod let go: with a step a twentieth of its period long it comes to rest, without any damping in the scene."""
     Path("rod.toml").write_text("rate_hz = 200\nduration_s = 0.3\nrod = { length_mm = 100.0, edges = 8 }\n"

@@ -42,6 +42,7 @@ def held(clamps, rotation: np.ndarray, shift: np.ndarray) -> Grippers:
     return Grippers(clamps.start, clamps.end, *(path[None] for path in (*ends, *frames)))
 
 
+@pytest.mark.thorough
 def test_a_peg_that_moves_is_a_rope_that_moves_the_other_way():
     rope, material, clamps = a_rope(1.0)
     drawn = moved(rope, material, held(clamps, UNTURNED, -WAY), PEG)

@@ -33,7 +33,7 @@ def rolled_out(rng, count: int, free_end: bool = False) -> RecordedMotion:
     return RecordedMotion.of(positions[:, 0][:, :, marks], RATE, free_end=free_end)
 
 
-@pytest.mark.parametrize("free_end", [False, True])
+@pytest.mark.parametrize("free_end", [False, pytest.param(True, marks=pytest.mark.thorough)])
 def test_theta_is_found_from_recordings_without_noise(rng, free_end):
     """Of eight edges, whose own error would make the rod stiffer; with a free end, the last two markers count as well."""
     motion = rolled_out(rng, 4, free_end)

@@ -203,6 +203,7 @@ def test_a_heavy_end_stays_on_its_side_of_a_peg(friction, on_rod):
 
 
 @pytest.mark.parametrize("clamp", [Clamp.POSITION, Clamp.FRAME])
+@pytest.mark.thorough
 def test_ropes_that_are_tied_and_touch_come_to_rest(clamp):
     """Of random groups, whose points to tie are 70 mm apart at first, nearly all."""
     group = drawn(np.random.default_rng(3), 30, clamp, tied=True)

@@ -174,6 +174,7 @@ def hung(**around) -> tuple[d.Configuration, d.Clamps]:
     return d.relax(rod, HUNG, clamps, **around).configuration, clamps
 
 
+@pytest.mark.thorough
 def test_grippers_do_not_enter_a_wall():
     """The target is behind it. Each gripper holds an edge of 10 mm, which the model lets turn."""
     around = {"obstacles": [d.Plane((0, 40, 0), (0, -1, 0))], "radius": 1.5}

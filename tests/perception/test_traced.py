@@ -106,6 +106,7 @@ def test_depth_stays_in_bounds_where_images_say_nothing_of_it():
     assert camera.depth(found).max() <= 4.001 * camera.depth(start)
 
 
+@pytest.mark.thorough
 def test_a_rod_that_leaves_a_piece_of_the_thread_out_is_not_clear(seen):
     """It may be a short cut, as where strands cross."""
     rig, curves, detections = seen
@@ -155,8 +156,10 @@ def test_where_a_line_leaves_the_rod_no_camera_counts(seen):
     assert (folded[:, :-30] == on_it[:, :-30]).all() and (on_it[:, 10:-10] == 1).all() and (folded[:, -12:] == 0).all()
 
 
+@pytest.mark.thorough
 def test_a_rod_does_not_bulge_where_one_mask_lacks_a_piece():
-    """The rod is a hundredth too long, and takes that up where one camera alone sees it. Drawn by OpenCV."""
+    """One that is a hundredth too long goes on beyond the end, and is where one camera alone sees it as one of the right length,
+    by half of its σ. Drawn by OpenCV."""
     rig, s = cameras(35.0, third=False), np.linspace(-1, 1, 2001)
     points, images = np.stack([35 * s, 10 * np.sin(1.5 * s + 1), -1.2 * np.sqrt(400 + 900 * s**2)], axis=1), []
     points -= points.mean(axis=0)
@@ -166,8 +169,9 @@ def test_a_rod_does_not_bulge_where_one_mask_lacks_a_piece():
         for pixel in pixels[800 : 800 + 10 * hidden : 10]:
             cv2.circle(mask, np.rint(pixel).astype(int).tolist(), 10, 0, -1)
         images.append(d.detect_mask(np.where(mask > 127, 255, 0)))
-    found = recovered((rig, [points], [images]), 1.01 * curve_length(points))
-    assert cKDTree(points).query(found.vertices[0, :-2])[0].max() < 0.6
+    right, long = (recovered((rig, [points], [images]), factor * curve_length(points)) for factor in (1.0, 1.01))
+    off, more = (cKDTree(points).query(found.vertices[0, :-2])[0] for found in (right, long))
+    assert np.abs(more - off).max() < 0.15 and (np.maximum(off, more) < 2 * np.sqrt(3) * right.sigma[0, :-2] + 0.05).all()
 
 
 def test_a_thread_begins_near_where_it_did_a_moment_before(rng):
@@ -250,6 +254,7 @@ def test_an_end_of_something_else_is_not_where_the_rod_begins(rng):
         assert np.linalg.norm(seed.point - points[0]) < 3 * np.sqrt(np.trace(seed.covariance) / 3) < 4.0
 
 
+@pytest.mark.thorough
 def test_a_camera_from_which_a_part_is_hidden_does_not_cost_it(rng):
     rig, points = cameras(40.0, third=True), curve(np.random.default_rng(7))
     images = views(rig, points, 0.1, rng)

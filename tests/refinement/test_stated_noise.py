@@ -8,6 +8,7 @@ from doo_ti.refinement.refine import refine
 from doo_ti.refinement.theta import Theta
 
 
+@pytest.mark.thorough
 def test_missing_marks_have_no_noise(rng):
     """As triangulate writes them: NaN. It used to become the noise of all."""
     rod, clamps = d.hanging(300.0, 20, np.zeros((4, 3)), [[150.0, 0, 40], [180, 0, 0], [210, 30, 0], [240, 0, -30]],

@@ -46,25 +46,6 @@ def test_other_threads_go_where_the_system_likes(fewer, environment):
     assert threads == [PROCESSORS] * (len(PROCESSORS) - fewer)
 
 
-ENDED = """
-import os
-import subprocess
-from doo_ti.system import runtime
-
-ended = subprocess.Popen(["true"])
-ended.wait()  # its number names nobody any more
-runtime.thread_count = lambda: len(runtime.processors())
-runtime.pin([ended.pid, os.getpid()])
-print(len(os.sched_getaffinity(0)))
-"""
-
-
-@of_two
-def test_a_thread_that_has_ended_is_passed_over():
-    done = python("-W", "ignore", "-c", ENDED)
-    assert done.stdout.strip() == "1", done.stderr
-
-
 START = ("from doo_ti.commands.cli import main; import sys; "
          "sys.exit(main(['relax', 'absent.npz', '--bend', '1e5', '--out', 'F.npz']))")
 
