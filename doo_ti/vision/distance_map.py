@@ -259,8 +259,9 @@ def misread(rig: Rig, vertices: np.ndarray, detections: list[list[Detection]]) -
             left[row, c] = left_out(points, far & ~alone).sum()
             twice[row, c] = _passed_twice(image) / detection.width_px
             place, far = nearest_place(detection.points, image)
-            diameter = detection.widths * camera.depth(rod)[place.astype(int)]  # of what all pieces of a thread have the same
-            wide = ~far & (detection.widths > 1 + THICKER * (detection.widths * np.median(diameter[~far]) / diameter))
+            depth = camera.depth(rod)[place.astype(int)]
+            diameter = np.median((detection.widths * depth)[~far]) if not far.all() else np.inf  # in px at unit depth
+            wide = ~far & (detection.widths > 1 + THICKER * diameter / depth)
             wider[row, c] = _longest_piece(np.unique(np.rint(detection.points[wide]), axis=0)) / detection.width_px
     return found
 

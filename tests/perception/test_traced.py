@@ -158,7 +158,7 @@ def test_where_a_line_leaves_the_rod_no_camera_counts(seen):
 
 @pytest.mark.thorough
 def test_a_rod_does_not_bulge_where_one_mask_lacks_a_piece():
-    """One that is a hundredth too long goes on beyond the end, and is where one camera alone sees it as one of the right length,
+    """One a hundredth too long goes on beyond the end, and is where one camera alone sees it as one of the right length is,
     by half of its σ. Drawn by OpenCV."""
     rig, s = cameras(35.0, third=False), np.linspace(-1, 1, 2001)
     points, images = np.stack([35 * s, 10 * np.sin(1.5 * s + 1), -1.2 * np.sqrt(400 + 900 * s**2)], axis=1), []
