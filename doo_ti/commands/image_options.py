@@ -227,12 +227,15 @@ class LengthBounds:
             edges = int(np.clip(round(length / self.edge), 4, MOST_EDGES))
         return np.full(edges, length / edges)
 
+    def range(self, thread: float, found: np.ndarray) -> np.ndarray:
+        """(2,) mm between which a rod along a thread of a length between ``found`` (2,) is: at a bound as uncertain."""
+        return np.clip(np.clip(thread, self.least, self.most) + found - thread, self.least, self.most)
+
     def agreeing(self, lengths: np.ndarray) -> np.ndarray:
         """(A,) bool: which of the lengths (A,) mm of one rod in several sets, NaN where none was found, are like most others.
-        Lines that go on along a clip, or end where something hides the thread, have any length: those within the bounds count,
-        if there are any, and of these the closest half and what is not three times as far from its middle."""
-        seen = np.isfinite(lengths)
-        within = seen & (self.least <= lengths) & (lengths <= self.most)
+        Lines that go on along a clip, or end where something hides the thread, have any length: the closest half of those
+        within the bounds, if any are, counts, and what is not three times as far from its middle."""
+        seen, within = np.isfinite(lengths), (self.least <= lengths) & (lengths <= self.most)
         seen = within if within.any() else seen
         order = np.sort(lengths[seen])
         half = min(len(order), max(2, (len(order) + 1) // 2))

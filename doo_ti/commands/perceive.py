@@ -139,7 +139,7 @@ def _begun(task: SeenRods, search, detected: list[list], failed: dict[int, Input
         middle = float(np.median(threads.length[like]))
         rest_length = task.length_bounds.rest_length(middle, float(threads.turn[like].max()))
         # Several sets are no more certain than one: lines end before or behind the thread's end in the same way in all.
-        length_range = np.clip(np.median(threads.range[like], axis=0), task.length_bounds.least, task.length_bounds.most)
+        length_range = task.length_bounds.range(middle, np.median(threads.range[like], axis=0))
     return replace(task, sets=sets, rest_length=rest_length), rows, length_range, covariance[rows]
 
 
