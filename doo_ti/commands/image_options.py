@@ -33,6 +33,7 @@ RECORDED = 3  # sets in a recording
 EDGES, MOST_GUESSED, BOW = 33, 100, 1 / 2000
 """Of a rod whose edges are not given: the least and the largest number of them, and how far they may lie off the rod's bends,
 over its length."""
+ALIKE = 0.02  # lengths of one rod in several sets that agree differ by this share at least
 CLICKED = "clicked"  # of --colour: that of the thread at the pixel where it begins
 GUESSED_BEND = 1e6
 """mm³, of a rod in images whose stiffness is not given: E_vis takes the rod's energy relative to its stiffness, so that only
@@ -134,16 +135,21 @@ def sight(options: Namespace, sets, method: str = "ridge"):
                  sets.clicks if clicked or stated == [None] * 4 else None, clicked)
 
 
-def detections(sight, every_path: Sequence[Sequence[Path]], cameras: Sequence) -> Iterator[list]:
+def detections(sight, every_path: Sequence[Sequence[Path]], cameras: Sequence, failed: dict | None = None) -> Iterator[list]:
     """Of each line of one image per camera its detections by the Sight ``sight``, found while others are used. Lines without a
-    click are sought as the last one that had any."""
+    click are sought as the last one that had any. Errors of clicks are raised, or added to ``failed`` by the line's number."""
     latest = sight
     with ThreadPoolExecutor(os.cpu_count()) as threads:
         def begun(row: int) -> tuple:
             nonlocal latest
             known = {}
             if sight.clicks is not None and sight.clicks[row]:
-                latest, known = sight.of_set(row, every_path[row], cameras)
+                try:
+                    latest, known = sight.of_set(row, every_path[row], cameras)
+                except InputError as error:  # images that are wrong themselves are refused below
+                    if failed is None:
+                        raise
+                    failed[row] = error
             return latest, [threads.submit(known.get, k) if k in known else threads.submit(latest.detected, path, camera)
                             for k, (path, camera) in enumerate(zip(every_path[row], cameras, strict=True))]
 
@@ -220,6 +226,22 @@ class LengthBounds:
         else:
             edges = int(np.clip(round(length / self.edge), 4, MOST_EDGES))
         return np.full(edges, length / edges)
+
+    def range(self, thread: float, found: np.ndarray) -> np.ndarray:
+        """(2,) mm between which a rod along a thread of a length between ``found`` (2,) is: at a bound as uncertain."""
+        return np.clip(np.clip(thread, self.least, self.most) + found - thread, self.least, self.most)
+
+    def agreeing(self, lengths: np.ndarray) -> np.ndarray:
+        """(A,) bool: which of the lengths (A,) mm of one rod in several sets, NaN where none was found, are like most others.
+        Lines that go on along a clip, or end where something hides the thread, have any length: the closest half of those
+        within the bounds, if any are, counts, and what is not three times as far from its middle."""
+        seen, within = np.isfinite(lengths), (self.least <= lengths) & (lengths <= self.most)
+        seen = within if within.any() else seen
+        order = np.sort(lengths[seen])
+        half = min(len(order), max(2, (len(order) + 1) // 2))
+        first = int(np.argmin(order[half - 1 :] - order[: len(order) - half + 1]))
+        least, most = order[[first, first + half - 1]]
+        return seen & (np.abs(lengths - 0.5 * (least + most)) <= max(1.5 * (most - least), ALIKE * most))
 
     def limits(self, rest_length: np.ndarray) -> bool:
         """Whether rods are as long as one of the bounds."""

@@ -90,13 +90,14 @@ def run(options: Namespace) -> int:
 
 
 def _detected(task: SeenRods, bar) -> tuple[list[list], dict[int, InputError]]:
-    """A lists of C detections, and by their rows the sets in which an image shows no thread. Raises InputError for the first
-    image that does not fit the rig."""
+    """A lists of C detections, and by their rows the sets in which an image or a click shows no thread. Raises InputError for
+    the first image that does not fit the rig."""
     paths, cameras, detected, failed = task.sets.paths, task.sets.rig.cameras, [], {}
     shown = bar.add_task("detection", total=len(paths) * len(cameras), unit="images")
-    for row, (images, found) in enumerate(zip(paths, image_options.detections(task.sight, paths, cameras), strict=True)):
+    seen = image_options.detections(task.sight, paths, cameras, failed)
+    for row, (images, found) in enumerate(zip(paths, seen, strict=True)):
         empty = next((k for k, detection in enumerate(found) if not detection.count), None)
-        if empty is not None:
+        if empty is not None and row not in failed:
             mask = found[empty].method == "mask"  # of a file, or the image's own
             failed[row] = InputError(task.sight.file(images[empty], cameras[empty]), "mask" if mask else "image",
                                      "no thread was found in it", "leave the set out, or "
@@ -134,11 +135,11 @@ def _begun(task: SeenRods, search, detected: list[list], failed: dict[int, Input
         rows = _left(task.sets, failed)
         sets = replace(sets, direction=threads.direction).take(np.flatnonzero(~lost))
     if rest_length is None:  # one rod in all sets
-        middle = float(np.nanmedian(threads.length))
-        rest_length = task.length_bounds.rest_length(middle, float(np.nanmax(threads.turn)))
-        # Of several sets the median is as much more certain as they are many.
-        apart = (np.nanmedian(threads.range, axis=0) - middle) / np.sqrt(np.isfinite(threads.length).sum())
-        length_range = np.clip(middle + apart, task.length_bounds.least, task.length_bounds.most)
+        like = task.length_bounds.agreeing(threads.length)
+        middle = float(np.median(threads.length[like]))
+        rest_length = task.length_bounds.rest_length(middle, float(threads.turn[like].max()))
+        # Several sets are no more certain than one: lines end before or behind the thread's end in the same way in all.
+        length_range = task.length_bounds.range(middle, np.median(threads.range[like], axis=0))
     return replace(task, sets=sets, rest_length=rest_length), rows, length_range, covariance[rows]
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from doo_ti.commands import doubts, given, loading, results
-from doo_ti.io.observation_files import read_recording, save_observations
+from doo_ti.io.observation_files import read_recording, rows_with_marks, save_observations
 from doo_ti.io.scene import Scene, Synthesis, load_scene
 from doo_ti.io.toml_file import scene_file
 from doo_ti.rod.observations import Observations
@@ -25,8 +25,8 @@ def declare(add) -> None:
     parser.add_argument("observations", metavar="IN", help=loading.FORMATS)
     given.add(parser, "out", "OUT", given.output_file, ".npz, .csv or .parquet")
     loading.add_loading(parser)
-    given.add(parser, "--select", "FROM:TO[:STEP]|N,N,…", str, "only these observations, numbered from 0 (default: all; with "
-              "--complete those of one mark or none are not counted)")
+    given.add(parser, "--select", "FROM:TO[:STEP]|N,N,…", str, "only these observations, numbered from 0 as in the file "
+              "(default: all)")
     given.add(parser, "--marks", "FROM:TO[:STEP]", str, "only these marks of each, numbered from 0, or from the end where "
               "negative: 2:-2 leaves out two at either end (default: all)")
     given.add(parser, "--edges", "N", given.whole(2), "the curves through the marks on N equal edges: a finer mesh for relax, "
@@ -61,8 +61,13 @@ def run_convert(options: Namespace) -> int:
     kept = _selected(options.marks, observations.edges + 1, "--marks")
     if options.marks is not None:
         observations = observations.of_marks(kept)
-    rows = _rows(options.select, observations.count)
-    rows = rows[observations.valid[rows].all(axis=1)] if options.complete else rows
+    if options.complete:  # numbers stay those of the file, where some have no marks
+        there = rows_with_marks(options.observations, options.columns)
+        rows = _rows(options.select, len(there))
+        rows = (np.cumsum(there) - 1)[rows[there[rows]]]
+        rows = rows[observations.valid[rows].all(axis=1)]
+    else:
+        rows = _rows(options.select, observations.count)
     require(len(rows), options.observations, "observations", "none is left", "select others, or leave --complete out")
     doubts.warn(observations)
     print(" ".join(loading.rod_line(observations).split()))

@@ -140,7 +140,7 @@ def _tracked(options: Namespace, task: SeenRods, motions: list | None) -> tuple[
                 if row == 0:
                     if rest_length is None:
                         rest_length = task.length_bounds.rest_length(float(thread.length[0]))
-                        length_range = np.clip(thread.range[0], task.length_bounds.least, task.length_bounds.most)
+                        length_range = task.length_bounds.range(float(thread.length[0]), thread.range[0])
                     tracker = doo_ti.Tracker(frames.rig, rest_length, task.material, up=task.up, surroundings=task.surroundings,
                                              length_range=length_range)
                 far = None if motions is None or row == 0 else motions[row - 1]

@@ -34,6 +34,7 @@ OWN = (".npz", *TABLES)  # suffixes of files that the package also writes
 OF_OTHERS = {".txt": read_polylines, ".xyz": read_polylines, ".xml": read_mujoco,
              ".usd": read_usd, ".usda": read_usd, ".usdc": read_usd}
 NAMES = ("name", "names")  # keys of an npz that name its observations, as those of perceive do
+WHOLE = ("rest_length", "up", "spacing_error")  # fields that are the same in all observations
 MOST_CSV_BYTES = 1 << 28  # reading CSV takes about fifteen times as much memory
 MOST_LEFT_OUT = 10  # frames of a recording in all for each that is there
 
@@ -139,20 +140,32 @@ def load_observations(path: str | os.PathLike[str], up: ArrayLike | None = None,
     return observations if up is None else replace(observations, up=np.asarray(up))
 
 
-def _without_lost(values: dict) -> dict:
-    """``values`` of a file without its observations of one mark or none; as they are where that leaves none, or they have not
-    the shapes that :class:`Observations` demands."""
+def rows_with_marks(path: str | os.PathLike[str], columns: Mapping[str, str] | Sequence[str] | None = None) -> np.ndarray:
+    """(D,) bool: which observations of a file :func:`load_observations` returns ``without_lost``."""
+    keys = read_keys(Path(path), columns)[1]
+    return _with_marks({name: keys[key] for name, key in KEYS.items() if key in keys})
+
+
+def _with_marks(values: dict) -> np.ndarray:
+    """(D,) bool: the observations of two marks or more; all where none has them, or ``values`` have not the shapes that
+    :class:`Observations` demands."""
     vertices, count = values["vertices"], len(values["vertices"]) if values["vertices"].ndim == 3 else 0
     seen = ~np.isnan(vertices).any(axis=-1)
     valid = values.get("valid", seen)
-    if not count or valid.shape != seen.shape:
+    each = [value for name, value in values.items() if name not in WHOLE and value.ndim]
+    if valid.shape != seen.shape or any(len(value) != count for value in each):
+        return np.ones(count, dtype=bool)
+    enough = (seen & valid.astype(bool)).sum(axis=-1) >= 2
+    return enough if enough.any() else ~enough
+
+
+def _without_lost(values: dict) -> dict:
+    """``values`` of a file without its observations of one mark or none, labelled as they were numbered."""
+    enough = _with_marks(values)
+    if enough.all():
         return values
-    enough = (seen & valid.astype(bool)).sum(axis=1) >= 2
-    whole = "rest_length", "up", "spacing_error"
-    if not enough.any() or any(len(value) != count for name, value in values.items() if name not in whole and value.ndim):
-        return values
-    values = {"labels": np.arange(count)} | values
-    return {name: value if name in whole or not value.ndim else value[enough] for name, value in values.items()}
+    values = {"labels": np.arange(len(enough))} | values
+    return {name: value if name in WHOLE or not value.ndim else value[enough] for name, value in values.items()}
 
 
 @typed

@@ -148,6 +148,8 @@ def test_observations_without_marks_and_outer_marks_are_left_out(tmp_path, capfd
     np.testing.assert_array_equal(found.sigma, sigma[1:, 1:-1])
     assert found.labels.tolist() == list(range(1, len(rods)))
     np.testing.assert_array_equal(found.rest_length, np.arange(2.0, rods.shape[1] - 1))
+    succeeded(capfd, "convert rods.npz second.npz --select 2,0 --complete")  # numbered as in the file
+    np.testing.assert_array_equal(load_observations("second.npz").vertices, rods[2:])
 
 
 def test_marks_whose_frames_would_be_lost_stay(tmp_path, shipped_data, capfd):

@@ -5,6 +5,7 @@ import shutil
 from contextlib import redirect_stdout
 from io import StringIO
 from pathlib import Path
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -13,6 +14,9 @@ from scipy.spatial import cKDTree
 
 from doo_ti import Rig, load_observations
 from doo_ti.commands.cli import main
+from doo_ti.commands.image_options import LengthBounds, detections
+from doo_ti.system.errors import InputError
+from doo_ti.vision.detection import Detection
 from doo_ti.vision.render import render_set
 from doo_ti.vision.rig_files import load_rig, save_rig
 from doo_ti.vision.tubes import smooth_curve
@@ -125,6 +129,33 @@ def test_sets_without_a_rod_do_not_end_the_others(photographed, perceived, capsy
     assert every["name"].tolist() == ["beside", "second", "blank"] and every["status"].tolist() == [4, 0, 4]
     assert every["verdict"].tolist() == [3, one["verdict"][0], 3] and not every["valid"][[0, 2]].any()
     np.testing.assert_array_equal(every["vertices_mm"][1], one["vertices_mm"][0])
+
+
+def test_a_click_beside_the_thread_is_an_error_of_its_set():
+    def of_set(row, paths, cameras):
+        if row == 1:
+            raise InputError(paths[0], "pixel", "no thread at 2,2", "give another one")
+        return sight, {}
+
+    sight = SimpleNamespace(clicks=[{0: (2, 2)}] * 3, of_set=of_set, agreed=lambda found, *_: found,
+                            detected=lambda path, _: Detection.none((9, 9), path))
+    failed, paths = {}, [["a"], ["b"], ["c"]]
+    assert [found[0].method for found in detections(sight, paths, [None], failed)] == ["a", "b", "c"] and list(failed) == [1]
+    with pytest.raises(InputError, match="no thread at 2,2"):
+        list(detections(sight, paths, [None]))
+
+
+@pytest.mark.parametrize("lengths, bounds, like", [
+    ([590.0, 840, 594, 1205, 584, np.nan], (0, np.inf), [0, 2, 4]),  # half of the lines go on along the clips
+    ([300.0, 301, 299, 305, 297, 302], (0, np.inf), range(6)), ([300.0, 410, 415, 412, 303, np.nan], (250, 350), [0, 4]),
+    ([300.0, 340], (0, np.inf), range(2)), ([410.0, np.nan], (0, 350), [0])])
+def test_the_length_is_that_of_the_lines_that_agree(lengths, bounds, like):
+    assert np.flatnonzero(LengthBounds(*bounds).agreeing(np.array(lengths))).tolist() == list(like)
+
+
+def test_a_length_at_a_bound_is_not_certain():
+    assert LengthBounds(285, 315).range(270, np.array([264, 277])).tolist() == [285, 292]
+    assert LengthBounds().range(270, np.array([264, 277])).tolist() == [264, 277]
 
 
 def test_stiffness_need_not_be_known(photographed, perceived, capsys):
