@@ -212,10 +212,13 @@ def _arrays(task: SeenRods, found) -> dict[str, np.ndarray]:
 
 
 def sigma_with_length(sigma: np.ndarray, length_range: np.ndarray, clicked: bool) -> np.ndarray:
-    """``sigma`` (S, V) mm of vertices evenly along rods whose length is between ``length_range`` (S, 2) mm, a range of 4 σ: all
-    move along the rod with its end, by the share of its length that is before them, and with a ``clicked`` start."""
-    along, share = np.nan_to_num(np.ptp(length_range, axis=1, keepdims=True)) / 4, np.linspace(0.0, 1.0, sigma.shape[1])
-    return np.hypot(sigma, along / np.sqrt(3) * np.hypot(share, (1 - share) * clicked))
+    """``sigma`` (S, V) mm of the vertices, where the last one, and a ``clicked`` first one, is as uncertain along the rod as
+    its length between ``length_range`` (S, 2) mm, a range of 4 σ. Those between them slide by a share of that, all together: as
+    noise of each it would hide the shape, which is known."""
+    sigma, along = sigma.copy(), np.nan_to_num(np.ptp(length_range, axis=1, keepdims=True)) / 4 / np.sqrt(3)
+    ends = [0, -1] if clicked else [-1]
+    sigma[:, ends] = np.hypot(sigma[:, ends], along)
+    return sigma
 
 
 def _found(found) -> np.ndarray:
