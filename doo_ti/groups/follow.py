@@ -59,7 +59,8 @@ def follow_group(group: Group, clamps: Sequence[Sequence[Clamps]], solver: Newto
     before, contacts = None, None
     for held in clamps:
         group = replace(group, clamps=held)
-        found, contacts = relaxed(group, solver, up, obstacles, radius, contact, before, motion, True, contacts)
+        found, contacts = relaxed(group, solver, up, obstacles, radius, contact, before, motion, follows=True,
+                                  contacts_before=contacts)
         yield found
         lost = np.flatnonzero(~found.converged)
         group = replace(group, rods=[put_rods(now, lost, last.take(lost))

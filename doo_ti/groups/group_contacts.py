@@ -7,7 +7,7 @@ from doo_ti.physics.algebra import absolute, identity, largest_of
 from doo_ti.physics.number import NUMBERS, device_functions, in_f64, read, write
 from doo_ti.physics.tuples import add, choose, dot, extended, minus, picked, plus, scaled
 from doo_ti.relaxation import tables as of
-from doo_ti.relaxation.contact_table import FINE, FORCES, PAIR_FORCES, PRESSED_IN, contact_items, pair_items
+from doo_ti.relaxation.contact_table import FINE, FORCES, PAIR_FORCES, contact_items, pair_items
 from doo_ti.relaxation.loading import stiffness_scale
 from doo_ti.relaxation.self_contacts import SelfContacts
 
@@ -163,7 +163,7 @@ class GroupContacts(ties.Ties, SelfContacts):
             at = self.numbered_pair(one, number)
             at.distance, at.distance_standing, at.may_touch = 1e30, 1e30, ti.cast(tables.apart[own, number], ti.f64)
             base.largest = ti.max(base.largest, at.force)
-        base.stiffness = ti.max(base.stiffness, base.largest / (PRESSED_IN * base.radius))
+        self.tighten(one, base.radius > 0.0)
         head = self.group(one)
         if tables.touching == 0:
             one.contacts.phase = FINE

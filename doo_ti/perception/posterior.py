@@ -59,7 +59,7 @@ from doo_ti.rod.shapes import end_clamps
 from doo_ti.rod.types import Clamp, Configuration, Material, Status, put_rods
 from doo_ti.vision.cameras import Rig
 from doo_ti.vision.detection import NEAR_PX, Detection, thinned
-from doo_ti.vision.distance_map import WIDER, coverage, nearest_place
+from doo_ti.vision.distance_map import coverage, nearest_place, of_thread
 from doo_ti.vision.image_energy import AssignedPoints
 from doo_ti.vision.paths import Lines, contradicted, line_trees, lines_at, merged
 
@@ -89,7 +89,7 @@ def sharpened(rods: Configuration, rig: Rig, detections: Sequence[Sequence[Detec
     start, quaternions, sound = rods.start.copy(), rods.quaternions.copy(), np.zeros(len(every), dtype=bool)
     pieces, stiffness = (len(rods.vertices[0]) - 1) // (marks - 1), float(np.linalg.eigvalsh(material.bend).max())
     nu = temperature(rods.vertices[:, ::pieces], marks, TURNING) / (2 * NOISE_PX3)
-    (given, ways), (of_thread, lines, width) = _images_of_places(rig, rods.vertices), _lines_of(detections)
+    (given, ways), (thread, lines, width) = _images_of_places(rig, rods.vertices), _lines_of(detections)
     end_weight = np.array([[NOISE_PX3 / detection.end_sigma**2 for detection in images] for images in detections])
     others, kept = _counting(given, lines_at(given, ways, lines)[2], lines, width, exact)
     for loosely, moving in ((LOOSE, np.flatnonzero(_seen_once(kept))), (1.0, every)):
@@ -119,7 +119,7 @@ def sharpened(rods: Configuration, rig: Rig, detections: Sequence[Sequence[Detec
             sound[moving] = (solution.status == Status.CONVERGED) & solution.stable
             moving = moving[np.abs(solution.configuration.vertices - here.vertices).max(axis=(1, 2)) > STILL_MM]
     new = Configuration(start, quaternions, rods.rest_length)
-    before, after = (coverage(rig, shape.vertices, every, of_thread, NEAR_PX).share for shape in (rods, new))
+    before, after = (coverage(rig, shape.vertices, every, thread, NEAR_PX).share for shape in (rods, new))
     sound &= (after >= np.minimum(before, COVERED)).all(axis=1)
     return put_rods(rods, sound, new.take(sound)), sound
 
@@ -165,8 +165,8 @@ def _between(there: np.ndarray) -> np.ndarray:
 
 def _lines_of(detections: Sequence[Sequence[Detection]]) -> tuple[list[list[Detection]], Lines, np.ndarray]:
     """The ``detections`` without lines that are far wider than the thread, these lines, and (A, C, 1) px: its width."""
-    of_thread = [[found.take(found.widths <= WIDER * found.width_px) for found in images] for images in detections]
-    return of_thread, line_trees(of_thread), np.nan_to_num([[[found.width_px] for found in images] for images in detections])
+    thread = [[of_thread(found) for found in images] for images in detections]
+    return thread, line_trees(thread), np.nan_to_num([[[found.width_px] for found in images] for images in detections])
 
 
 def temperature(vertices: np.ndarray, marks: int, least_turn: float) -> np.ndarray:
@@ -303,9 +303,8 @@ def shown_length(rods: Configuration, rig: Rig, detections: Sequence[Sequence[De
     do not look along the rod's end."""
     images = np.nan_to_num(rig.project(rods.vertices), nan=-1e6)
     last = np.zeros(images.shape[:2])
-    of_thread = _lines_of(detections)[0]
     for c, row in np.ndindex(last.shape):
-        place, far = nearest_place(thinned(of_thread[row][c])[0], images[c, row])
+        place, far = nearest_place(thinned(of_thread(detections[row][c]))[0], images[c, row])
         last[c, row] = place[~far].max(initial=0.0)
     end = np.linalg.norm(images[:, :, -1] - images[:, :, -2], axis=-1)
     edges, lengths = np.where(end >= ASIDE * end.max(axis=0), last, 0.0).max(axis=0), np.atleast_2d(rods.rest_length)

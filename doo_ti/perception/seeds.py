@@ -69,7 +69,8 @@ def seed_from_pixels(rig: Rig, detections: Sequence[Detection], clicks: Mapping[
 
     detections  of the C cameras
     clicks      camera: (u, v) px; one or more
-    before      (3,) mm, where it began before, if known: others cost how far they are, px; remedy: said where no thread is
+    before      (3,) mm, where the rod began a moment before, if known: other places cost their distance from it, px
+    remedy      for clicks near which nothing was detected
 
     Raises InputError, naming ``source``, for a single camera, and where no thread is near a click, or no other line fits.
     """
@@ -125,8 +126,7 @@ def _beginnings(rig: Rig, detections: Sequence[Detection], clicks: Mapping[int, 
                          "give a pixel in that camera, too")
     ordered, found = rig.take(order), []
     for miss, choice in _choices(ordered, ends, {order.index(camera) for camera in given}):
-        begun = _beginning(ordered, [lines[camera] for camera in order], choice, places)
-        if begun is not None:
+        if (begun := _beginning(ordered, [lines[camera] for camera in order], choice, places)) is not None:
             found.append((begun[0] + miss, *begun[1:]))
     if not found:
         raise InputError(source, "--seed-pixel", "no thread can be followed from there",

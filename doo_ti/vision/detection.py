@@ -303,7 +303,11 @@ def to_tips(found: Detection, image: np.ndarray, slope: float, before: float = 0
     slope   of the thread's edges, in grey levels per px
     before  px by which lines are to end before tips
     """
+    def along(places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        return np.vander(places, 3) @ bent, -unit_vectors(np.vander(2 * places, 2) @ bent[:2])
+
     chains, slopes = chains_of(*single(found)), gradient(image) * (-1 if found.polarity == "light" else 1)
+    lengths = np.array([curve_length(chain) for chain in chains])
     tree, widths, kept, rows, tips = cKDTree(found.points), found.widths, np.ones(found.count, dtype=bool), [], []
     for k, way in np.ndindex(len(chains), 2):
         chain = chains[k][::-1] if way else chains[k]
@@ -314,18 +318,19 @@ def to_tips(found: Detection, image: np.ndarray, slope: float, before: float = 0
         for _ in range(2):  # how the line is bent is known up to half a width before the tip
             begin, end = np.searchsorted(arc, [cut, cut + max(1.5 * wide, 3 * END_PX)])
             bent = np.polyfit(arc[begin:end], chain[begin:end], 2)
-            at, ahead = np.vander(place, 3) @ bent, -unit_vectors(np.vander(2 * place, 2) @ bent[:2])
+            at, ahead = along(place)
             x, y = np.moveaxis((at + wide * ACROSS[:, None, None] * normal_to(ahead)).astype(np.float32), -1, 0)
             change = cv2.remap(slopes, x, y, cv2.INTER_CUBIC, borderMode=cv2.BORDER_CONSTANT)
             where, most = peak((change * ahead).sum(axis=-1).mean(axis=0)[None])
             last = place[0] - STEP_PX * where[0]
             cut = max(last + 0.5 * wide, 0.0)
         place = last + before + np.arange(0.0, 0.5 * wide, 1 / POINTS_PER_PX)
-        at, ahead = np.vander(place, 3) @ bent, -unit_vectors(np.vander(2 * place, 2) @ bent[:2])
+        at, ahead = along(place)
         inside = (at[0] > 0).all() and (at[0] < np.array(image.shape[::-1]) - 1).all()
-        others = [one for j, one in enumerate(chains) if j != k and curve_length(one) > wide]
-        apart = cKDTree(at).query(np.concatenate([*others, chain[end:]]))[0]
-        if not inside or most[0] < TIP * slope or (apart < wide).any():
+        if not inside or most[0] < TIP * slope:
+            continue
+        others = [one for j, one in enumerate(chains) if j != k and lengths[j] > wide]
+        if (cKDTree(at).query(np.concatenate([*others, chain[end:]]))[0] < wide).any():
             continue
         away = found.points - at[-1]
         behind, aside = away @ ahead[-1], np.abs(away @ normal_to(ahead[-1]))

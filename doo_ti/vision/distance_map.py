@@ -228,6 +228,11 @@ def coverage(rig: Rig, vertices: np.ndarray, of_set: np.ndarray, detections: lis
     return Coverage(result[..., 0] / np.maximum(lengths, 1), result[..., 1].astype(np.float64), lengths.astype(np.float64))
 
 
+def of_thread(found: Detection) -> Detection:
+    """What was ``found`` without lines that are far wider than the thread."""
+    return found.take(found.widths <= WIDER * found.width_px)
+
+
 def misread(rig: Rig, vertices: np.ndarray, detections: list[list[Detection]]) -> dict[str, np.ndarray]:
     """Where the rods ``vertices`` (A, V, 3) mm, one of each set, and the line detected in each camera do not belong together,
     (A, C) by name.
