@@ -3,6 +3,7 @@ directions and widths, and chains of those that follow each other along their di
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import accumulate
 from typing import Annotated
 
 import cv2
@@ -259,23 +260,28 @@ def goes_on(chain: np.ndarray, known: list[np.ndarray], width: float, dark: np.n
     width  px of the line that the chain is
     dark   (H, W) how much pixels differ from the background towards the thread, 255 for its contrast
     """
-    line = cKDTree(chain)
-    apart, at = line.query(np.array([other[-1 if way else 0] for other in known for way in (0, 1)]))
-    half = (2 * at >= len(chain)).astype(int)
+    line, length = cKDTree(chain), curve_length(chain)
+    apart, at = line.query(np.array([end for other in known for end in (other[0], other[-1])]))
+    touching = np.flatnonzero(apart <= TOUCHING * width + ENDS_PX)
+    half = (2 * at[touching] >= len(chain)).astype(int)
     inward = -np.stack([outward(chain, way) for way in (0, 1)])[half]
-    ahead = np.array([outward(other, way) for other in known for way in (0, 1)])
-    agreeing = (apart <= TOUCHING * width + ENDS_PX) & ((ahead * inward).sum(axis=1) >= AGREEING)
+    ahead = np.array([outward(known[end // 2], end % 2) for end in touching]).reshape(-1, 2)
+    agreeing = (ahead * inward).sum(axis=1) >= AGREEING
     if not agreeing.any():  # as of most chains
         return False
-    inside = np.array([line.query(other)[0].max() <= width for other in known])
-    others = [other for other, here in zip(known, inside, strict=True) if not here]
+    beside = line.query(np.concatenate(known), distance_upper_bound=width)[0]
+    first = np.cumsum([0, *map(len, known[:-1])])
+    inside, near = np.logical_and.reduceat(beside <= width, first), np.logical_or.reduceat(beside <= 0.6 * width, first)
     column, row = np.rint(chain).astype(int).T
-    if inside.any() and (curve_length(chain) < GLINT * width or np.median(dark[row, column]) < INSIDE * 255):
+    if inside.any() and (length < GLINT * width or np.median(dark[row, column]) < INSIDE * 255):
         return False
-    strand = any((cKDTree(other).query(chain)[0] <= 0.6 * width).mean() > BESIDE for other in others)
-    if strand or sum(map(curve_length, others)) < curve_length(chain):
+    strands = (known[k] for k in np.flatnonzero(near & ~inside))
+    if any((cKDTree(other).query(chain)[0] <= 0.6 * width).mean() > BESIDE for other in strands):
+        return False
+    lengths = accumulate(curve_length(known[k]) for k in np.flatnonzero(~inside))
+    if all(others < length for others in lengths):
         return False  # what has two edges all along is two threads
-    return int(np.bincount(half[agreeing & ~np.repeat(inside, 2)], minlength=2).max()) == 1
+    return int(np.bincount(half[agreeing & ~inside[touching // 2]], minlength=2).max()) == 1
 
 
 def edges_of(points: np.ndarray, own: list[np.ndarray], parts: Sequence[Detection], width: float) -> np.ndarray:
@@ -307,7 +313,10 @@ def to_tips(found: Detection, image: np.ndarray, slope: float, before: float = 0
         return np.vander(places, 3) @ bent, -unit_vectors(np.vander(2 * places, 2) @ bent[:2])
 
     chains, slopes = chains_of(*single(found)), gradient(image) * (-1 if found.polarity == "light" else 1)
+    if not chains:
+        return found
     lengths = np.array([curve_length(chain) for chain in chains])
+    low, high = (np.array([corner(chain, axis=0) for chain in chains]) for corner in (np.min, np.max))
     tree, widths, kept, rows, tips = cKDTree(found.points), found.widths, np.ones(found.count, dtype=bool), [], []
     for k, way in np.ndindex(len(chains), 2):
         chain = chains[k][::-1] if way else chains[k]
@@ -329,7 +338,8 @@ def to_tips(found: Detection, image: np.ndarray, slope: float, before: float = 0
         inside = (at[0] > 0).all() and (at[0] < np.array(image.shape[::-1]) - 1).all()
         if not inside or most[0] < TIP * slope:
             continue
-        others = [one for j, one in enumerate(chains) if j != k and lengths[j] > wide]
+        about = (low <= at.max(axis=0) + wide).all(axis=1) & (high >= at.min(axis=0) - wide).all(axis=1) & (lengths > wide)
+        others = [chains[j] for j in np.flatnonzero(about) if j != k]
         if (cKDTree(at).query(np.concatenate([*others, chain[end:]]))[0] < wide).any():
             continue
         away = found.points - at[-1]
