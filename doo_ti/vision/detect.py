@@ -187,8 +187,8 @@ def _within_ends(ridges: ridge.Ridges, shape: tuple[int, int], sigma: float) -> 
     weak[at] = ridges.strength < HALF * cv2.dilate(strength, np.ones((3, 3), dtype=np.uint8))[row, column].max(axis=0)
     part, line = (cv2.connectedComponents(kind.astype(np.uint8))[1] for kind in (weak, (strength > 0) & (weak == 0)))
     around = [line[at[0] + down, at[1] + right] for down in (-1, 0, 1) for right in (-1, 0, 1)]
-    touching = np.unique(np.stack([np.tile(part[at], 9), np.concatenate(around)]), axis=1)
-    lines = np.bincount(touching[0, touching.all(axis=0)], minlength=part.max() + 1)
+    touching = np.stack([np.tile(part[at], 9), np.concatenate(around)])
+    lines = np.bincount(np.unique(touching[:, touching.all(axis=0)], axis=1)[0], minlength=part.max() + 1)
     return (part[at] == 0) | (lines[part[at]] != 1)
 
 
