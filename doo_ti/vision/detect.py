@@ -35,7 +35,6 @@ from doo_ti.vision.detection import (
     DetectionOptions,
     chains_of,
     cropped,
-    edges_of,
     goes_on,
     image_part,
     in_whole_pixels,
@@ -224,7 +223,7 @@ def _continued(image: np.ndarray, usual: Detection) -> Detection:
         line = _wide_lines(dark, width, np.concatenate([found.points, *own]), usual.width_px)
         added = _joined(line, own, width, dark)
         if added:
-            found = found.take(~edges_of(found.points, own, added, width)).with_parts(added)
+            found = found.take(~_edges_of(found.points, own, added, width)).with_parts(added)
             own = chains_of(*thinned(found))
     return found
 
@@ -265,6 +264,15 @@ def _joined(line: Detection, own: list[np.ndarray], width: float, dark: np.ndarr
         part = line.take(tree.query(chain)[1])
         parts.append(replace(part, width=np.full(part.count, np.median(part.width))))
         known.append(chain)
+
+
+def _edges_of(points: np.ndarray, own: list[np.ndarray], parts: list[Detection], width: float) -> np.ndarray:
+    """(N,) bool: points of chains that lie beside the ``parts`` as their edges do, from end to end."""
+    line = cKDTree(np.concatenate([part.points for part in parts]))
+    edges = [chain for chain in own if line.query(chain)[0].max() <= width]
+    if not edges:
+        return np.zeros(len(points), dtype=bool)
+    return cKDTree(np.concatenate(edges)).query(points)[0] <= 1.0
 
 
 # --- masks --------------------------------------------------------------------------------------------------------

@@ -284,15 +284,6 @@ def goes_on(chain: np.ndarray, known: list[np.ndarray], width: float, dark: np.n
     return int(np.bincount(half[agreeing & ~inside[touching // 2]], minlength=2).max()) == 1
 
 
-def edges_of(points: np.ndarray, own: list[np.ndarray], parts: Sequence[Detection], width: float) -> np.ndarray:
-    """(N,) bool: points of chains that lie beside the ``parts`` as their edges do, from end to end."""
-    line = cKDTree(np.concatenate([part.points for part in parts]))
-    edges = [chain for chain in own if line.query(chain)[0].max() <= width]
-    if not edges:
-        return np.zeros(len(points), dtype=bool)
-    return cKDTree(np.concatenate(edges)).query(points)[0] <= 1.0
-
-
 # --- tips ------------------------------------------------------------------------------------------------------------------
 
 THIN_PX = 3.0  # width of a thread that is hardly wider than the blur of its edges: that it ends early does not show

@@ -1,14 +1,15 @@
 """The thread under a pixel: its points in order, from end to end.
 
 1. **Start.** Around the pixel, the line of largest contrast in Lab is sought over places, directions and widths.
-2. **Colours.** Across the thread the colour at an offset s is compared with that farther off on either side: where the median
-   difference is large against the scatter along the thread, s is within. That gives the thread's middle, width and colours; a
-   striped thread has several. Beside a thread its shadow differs from the background, too; but there the colour is a multiple
-   of the background's, while a thread has a colour of its own or is much darker.
-3. **Walk.** In the likeness to these colours the thread is a light line of known width. Of circular arcs that go on from the
-   last point, the one along which the line is strongest is followed for half a width; strength is the second derivative across,
-   1 for a clean line. Where it is missing, for instance where something crosses, the arc goes on to where the line is
-   there again within six widths. Else the thread ends.
+2. **Colours.** Across the thread, where a colour is far from that of the background on either side, lit or in any shadow, over
+   the scatter along the thread, there is thread. That gives its middle, width and colours; a striped thread has several. A
+   thread whose own colour is that of a shadow is told from the lit background only.
+3. **Walk.** In the likeness to these colours, rather than to the background's, the thread is a light line of known width. Of
+   circular arcs that go on from the last point, the one along which the line is strongest is followed for half a width;
+   strength is the second derivative across, 1 for a clean line. Where it is missing, for instance where something crosses, the
+   arc goes on to where the line is there again within six widths. Else the thread ends. Colours are looked at again every
+   three widths, and before it ends: stripes wind round a cable, light and background change.
+4. **Middle.** The points are moved midway between the thread's edges.
 
 Other threads that cross are not followed: an arc that is straighter through the crossing has more of the line.
 """
@@ -23,7 +24,7 @@ from doo_ti.rod.frames import arc_lengths, normal_to, placed, unit_vectors
 from doo_ti.system.arguments import typed
 from doo_ti.system.errors import InputError
 from doo_ti.vision.detection import WIDEST_GLINT, Detection, DetectionOptions, image_part, moved
-from doo_ti.vision.ridge import TOLERANCE, WORKING_WIDTH, Curvature, as_colour, lab, likeness, likeness_table
+from doo_ti.vision.ridge import ROWS, TOLERANCE, WORKING_WIDTH, Curvature, as_colour, lab
 
 REACH_PX = 4.0  # from the pixel to the thread's middle, or half a width, whichever is more
 FINEST, OCTAVES = 2.0, 6  # widths tried, px: two to an octave, up to 180
@@ -38,11 +39,13 @@ AGAIN = 2.0  # widths along which the line must be there behind a gap
 STRAIGHT = 0.15  # strength that an arc of the largest curvature must have more than a straight one
 SHORTEST = 4.0  # widths of a thread
 WITHIN = 0.5  # share of the largest ratio of difference and scatter up to which a place is within the thread
-SURELY_WITHIN = 5.0  # ratio from which on a place is within the thread in any case: its stripes may differ
+SURELY_WITHIN = 2.5  # ratio from which on a place is within the thread in any case: its stripes may differ
 LEVEL = 3.0  # Lab: scatter without noise
-DEEPEST, TINGE = 0.6, 6.0
-"""In a shadow the levels of an image are those of the background times a factor, of 0.6 or more (a third of the light), and
-differ from that by less than this in Lab."""
+LIT = np.float32([16, 0, 0])  # less light multiplies (L + 16, a, b), the cube roots of intensities, by a number
+DEEPEST, DEEPER = 0.7, 1.25  # of a shadow, with a third of the light; a and b may be more of the background's than L
+TINGE = 6.0  # Lab by which colours of shadows may differ from that
+STRETCH = 3.0  # widths of thread after which its colours are looked at again
+SAME = 0.3  # share by which the width at the start and farther along may differ
 REACH = 2.5  # widths to either side that are looked at
 SMOOTHING_PX = 0.7
 
@@ -61,6 +64,8 @@ class Look:
     """How a thread differs from what is beside it."""
 
     colours: np.ndarray  # (n, 3) Lab, across it
+    ground: np.ndarray  # (2, 3) Lab, beside it
+    deepest: float  # DEEPEST, or 1 where what differs from the background as shadows do is the thread
     contrast: float  # Lab
     polarity: str  # "dark" or "light"
     sound: bool  # both its edges are where they are for its width, and it is no shadow
@@ -83,13 +88,12 @@ def follow(image: np.ndarray, pixel: tuple[float, float], options: DetectionOpti
                          f"give one of the {part.shape[1]} x {part.shape[0]} px of the image or region")
     levels = [as_colour(part)]
     lines = sorted(_lines(levels, place), key=lambda entry: -entry[0])
-    found = next((one for sound in (True, False) for _, line in lines
-                  if (one := _followed(levels, line, sound)) is not None), None)
+    found = next((one for sound, deepest in ((True, DEEPEST), (True, 1.0), (False, 1.0)) for _, line in lines
+                  if (one := _followed(levels, line, sound, deepest)) is not None), None)
     if found is None:
         return Detection.none(image.shape[:2], "follow")
-    points, strength, width, polarity = found
-    tangent = unit_vectors(np.gradient(points, axis=0))
-    return moved(Detection(points, tangent, strength, width, polarity, image.shape[:2], "follow"), corner)
+    along = unit_vectors(np.gradient(found[0], axis=0))
+    return moved(Detection(found[0], along, *found[1:], image.shape[:2], "follow"), corner)
 
 
 # --- the line at the pixel -------------------------------------------------------------------------------------------------
@@ -137,91 +141,77 @@ def _line(image: np.ndarray, place: np.ndarray, width: float, reach: float) -> t
 
 # --- the thread along it ---------------------------------------------------------------------------------------------------
 
-def _followed(levels: list[np.ndarray], line: Line, sound: bool) -> tuple[np.ndarray, np.ndarray, float, str] | None:
+def _followed(levels: list[np.ndarray], line: Line, sound: bool, deepest: float
+              ) -> tuple[np.ndarray, np.ndarray, float, str] | None:
     """(N, 2) points, (N,) strengths, width and polarity of the thread that has this line; None where there is none, or none
     that is ``sound`` where it must be."""
     level = int(np.clip(np.ceil(np.log2(line.width / WORKING_WIDTH)), 0, len(levels) - 1))
-    image, scale = levels[level], 2.0**level
-    line = Line(line.point / scale, line.angle, line.width / scale)
+    image, scale, line = levels[level], 2.0**level, Line(line.point / 2.0**level, line.angle, line.width / 2.0**level)
     step = np.arange(-np.ceil(SEGMENT * line.width), np.ceil(SEGMENT * line.width) + 1)
     path = line.point + step[:, None] * [np.cos(line.angle), np.sin(line.angle)]
-    near, look = looked(image, path, len(step) // 2, line, None)
+    near, look = looked(image, path, len(step) // 2, line, deepest)
     walked = None if sound and not look.sound else _both_ways(image, near, look, 8 * line.width)
     if walked is None:
         return None
-    far, far_look = looked(image, walked[1], walked[3], near, look)
-    again = _both_ways(image, far, far_look, np.inf)
+    far, far_look = looked(image, walked[0], walked[2], near, deepest)
+    same = far_look.sound and abs(far.width - near.width) <= SAME * near.width
+    again = _both_ways(image, far, far_look, np.inf) if same else None
     if again is None:  # what is farther along is misleading
         far, far_look, again = near, look, _both_ways(image, near, look, np.inf)
     if again is None:
         return None
-    field, path, strength, _ = again
-    points = scale * field.centred(path, strength > 0)
+    points = scale * _centred(image, again[0], again[1] > 0, far.width, deepest)
     place = arc_lengths(points)
     at = np.arange(0, place[-1], 1.0)  # a pixel apart
-    points = placed(at, place, points)
-    strength = strength[np.clip(np.searchsorted(place, at), 0, len(strength) - 1)]
-    return points, strength, far.width * scale, far_look.polarity
+    strength = again[1][np.clip(np.searchsorted(place, at), 0, len(place) - 1)]
+    return placed(at, place, points), strength, far.width * scale, far_look.polarity
 
 
-def _both_ways(image: np.ndarray, line: Line, look: Look, length: float
-               ) -> tuple["_Field", np.ndarray, np.ndarray, int] | None:
-    """(field, (N, 2) points, (N,) strengths, the number of the line's point) of the thread as far as ``length`` px either way;
+def _both_ways(image: np.ndarray, line: Line, look: Look, length: float) -> tuple[np.ndarray, np.ndarray, int] | None:
+    """(N, 2) points and (N,) strengths of the thread as far as ``length`` px either way, and the number of the line's point;
     None where it is no longer than four widths."""
-    table = likeness_table(list(look.colours), float(np.clip(look.contrast / 2, LEAST_TOLERANCE, TOLERANCE)))
-    field = _Field(image, table, line.width)
-    ahead, ahead_strength = _walked(field, line, length)
-    back, back_strength = _walked(field, Line(line.point, line.angle + np.pi, line.width), length)
+    ahead, ahead_strength = _walked(_Field(image, look, line.width), line, length)
+    back, back_strength = _walked(_Field(image, look, line.width), replace(line, angle=line.angle + np.pi), length)
     path = np.concatenate([back[::-1], line.point[None], ahead])
-    if len(path) < SHORTEST * line.width:
-        return None
-    return field, path, np.concatenate([back_strength[::-1], [FULL], ahead_strength]), len(back)
+    strength = np.concatenate([back_strength[::-1], [FULL], ahead_strength])
+    return None if len(path) < SHORTEST * line.width else (path, strength, len(back))
 
 
 # --- from point to point -----------------------------------------------------------------------------------------------------
 
 class _Field:
-    """Second and first derivatives of an image's likeness, in a window that moves along with those who ask."""
+    """Second and first derivatives of an image's likeness to the thread, in a window that moves along with those who ask."""
 
-    def __init__(self, image: np.ndarray, table: np.ndarray, width: float):
-        self.image, self.table, self.sigma = image, table, max(0.8, 0.35 * width)
-        self.reach = int(3 * AHEAD * width)
+    def __init__(self, image: np.ndarray, look: Look, width: float):
+        self.image, self.look, self.width, self.sigma = image, look, width, max(0.8, 0.35 * width)
+        self.centre, self.reach = np.full(2, np.inf), int((AHEAD + STRETCH) * width) + int(np.ceil(4 * self.sigma))
         side = 2 * int(WIDEST_GLINT * width / 2) + 1
         self.fill = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (side, side))
-        self.corner, self.end = np.zeros(2), np.full(2, -1.0)
+
+    def cover(self, point: np.ndarray, behind: np.ndarray, anew: bool) -> None:
+        """Moves the window to a ``point`` (2,) that is far from its middle, or ``anew``. There the thread looks as at the start,
+        or as along what is ``behind`` (N, 2)."""
+        if not anew and np.linalg.norm(point - self.centre) <= STRETCH * self.width:
+            return
+        looks = [self.look]
+        if len(behind) >= AGAIN * self.width:
+            line, look = looked(self.image, behind, len(behind) // 2, Line(point, 0.0, self.width), self.look.deepest)
+            if look.sound and abs(line.width - self.width) <= SAME * self.width:
+                looks.append(look)
+        pixels, self.corner = window(self.image, point, self.reach)
+        like = _likeness(lab(pixels.astype(np.float32)), looks)
+        part, self.centre = Curvature(cv2.morphologyEx(like, cv2.MORPH_CLOSE, self.fill), self.sigma), point
+        self.maps = cv2.merge([part.xx, part.xy, part.yy]), cv2.merge([part.x, part.y])
 
     def sampled(self, points: np.ndarray, along: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """(a, n) strength across a line at (a, n, 2) points with unit tangents ``along``, and px to the crest of the line."""
-        margin = int(np.ceil(4 * self.sigma))
-        low, high = points.min(axis=(0, 1)), points.max(axis=(0, 1))
-        edge = np.array(self.image.shape[1::-1]) - 1
-        if (np.maximum(low, 0) < self.corner).any() or (np.minimum(high, edge) > self.end).any():
-            pixels, corner = window(self.image, (low + high) / 2, self.reach + margin)
-            part = Curvature(cv2.morphologyEx(likeness(pixels, self.table), cv2.MORPH_CLOSE, self.fill), self.sigma)
-            self.maps = cv2.merge([part.xx, part.xy, part.yy]), cv2.merge([part.x, part.y])
-            cut = [np.where(at, 0, margin) for at in (corner == 0, corner + pixels.shape[1::-1] > edge)]
-            self.origin, self.corner = corner, corner + cut[0]
-            self.end = corner + pixels.shape[1::-1] - 1 - cut[1]
-        at = (points - self.origin).astype(np.float32)
+        at = (points - self.corner).astype(np.float32)
         bends, slopes = (cv2.remap(part, at[..., 0], at[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT)
                          for part in self.maps)
         x, y = -along[..., 1], along[..., 0]
         bend = -(bends[..., 0] * x * x + 2 * bends[..., 1] * x * y + bends[..., 2] * y * y)
         slope = slopes[..., 0] * x + slopes[..., 1] * y
         return bend * self.sigma**2 / FULL, slope / np.maximum(bend, 0.1 * FULL / self.sigma**2)
-
-    def centred(self, path: np.ndarray, there: np.ndarray) -> np.ndarray:
-        """The (N, 2) points of a path on the crest of the line; where it is not ``there`` (N,), as far aside as beyond gaps."""
-        along = unit_vectors(np.gradient(path, axis=0))
-        shift = np.empty(len(path))
-        for first in range(0, len(path), max(1, self.reach // 2)):
-            rows = slice(first, first + max(1, self.reach // 2))
-            shift[rows] = self.sampled(path[None, rows], along[None, rows])[1][0]
-        # At its ends a gap's cause pulls the line aside.
-        clear = np.convolve(~there, np.ones(2 * int(2 * self.sigma) + 1), "same")[: len(path)] == 0
-        every, sure = np.arange(len(path)), clear if clear.any() else there
-        shift = np.clip(np.interp(every, every[sure], shift[sure]), -self.sigma, self.sigma)
-        return path + shift[:, None] * normal_to(along)
 
 
 def _walked(field: _Field, line: Line, longest: float) -> tuple[np.ndarray, np.ndarray]:
@@ -232,10 +222,11 @@ def _walked(field: _Field, line: Line, longest: float) -> tuple[np.ndarray, np.n
     arcs, turn = np.stack([np.sin(bend * step), 1 - np.cos(bend * step)], axis=-1) / bend[..., None], bend * step
     cost = STRAIGHT * np.abs(bend[:, 0]) * width / SHARPEST
     point, angle, points, strengths = line.point, line.angle, [], [np.ones(1)]
-    stride, again, count = max(1, int(width / 2)), int(np.ceil(AGAIN * width)), 0
+    stride, again, count, fresh = max(1, int(width / 2)), int(np.ceil(AGAIN * width)), 0, False
     while count < min(longest, height * breadth / width):
-        cos, sin = np.cos(angle), np.sin(angle)
-        at, heading = point + arcs @ np.array([[cos, sin], [-sin, cos]]), angle + turn
+        at, heading = point + arcs @ [[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]], angle + turn
+        behind = np.concatenate([line.point[None], *points[-int(3 * SHORTEST) :]])
+        field.cover(point, behind[-int((AGAIN if fresh else SHORTEST) * width) - 1 :], fresh)
         strength = field.sampled(at, np.stack([np.cos(heading), np.sin(heading)], axis=-1))[0]
         best = np.argmax(np.clip(strength, -0.3, 1.2).mean(axis=1) - cost)
         strength, at, heading = strength[best], at[best], heading[best]
@@ -243,8 +234,12 @@ def _walked(field: _Field, line: Line, longest: float) -> tuple[np.ndarray, np.n
         taken, ended = stride, False
         if there[: max(stride, int(width))].mean() < 0.5:
             share = np.convolve(there, np.ones(again), "valid")
-            behind = np.flatnonzero((share >= 0.85 * again) & there[: len(share)])
-            taken, ended = (behind[0] + 1, False) if len(behind) else (int(np.argmin(there)), True)
+            later = np.flatnonzero((share >= 0.85 * again) & there[: len(share)])
+            taken, ended = (later[0] + 1, False) if len(later) else (int(np.argmin(there)), True)
+            if ended and not fresh:
+                fresh = True
+                continue
+        fresh = False
         inside = ((at[:taken] > -0.5) & (at[:taken] < [breadth - 0.5, height - 0.5])).all(axis=1)
         kept = taken if inside.all() else int(np.argmin(inside))
         points.append(at[:kept])
@@ -263,35 +258,25 @@ def _walked(field: _Field, line: Line, longest: float) -> tuple[np.ndarray, np.n
 
 # --- across the thread -------------------------------------------------------------------------------------------------------
 
-def looked(image: np.ndarray, path: np.ndarray, middle: int, line: Line, before: Look | None) -> tuple[Line, Look]:
-    """The line again, at the middle and with the width of the thread that the points ``path`` (N, 2) follow, and its look; what
-    was known ``before`` where the thread has no edges there. The line is at the point ``middle`` of them."""
-    sampled, along, offset = _across(image, path, line.width)
-    seen, shaded = lab(sampled), _in_shadow(np.median(sampled, axis=0))
+def looked(image: np.ndarray, path: np.ndarray, middle: int, line: Line, deepest: float) -> tuple[Line, Look]:
+    """The line again, at the middle and with the width of the thread that the points ``path`` (N, 2) follow, and its look. The
+    line is at the point ``middle`` of them; it is as it was where the thread has no edges there."""
+    seen, along, offset = _across(image, path, line.width)
     usual = np.median(seen, axis=0)
     scatter = np.median(np.linalg.norm(seen - usual, axis=-1), axis=0)
-    difference = np.minimum(*(np.median(np.linalg.norm(seen - seen[:, [end]], axis=-1), axis=0) for end in (0, -1)))
+    difference = np.min([np.median(_unlike(seen, seen[:, [end]], deepest), axis=0) for end in (0, -1)], axis=0)
     ratio = difference / (scatter + LEVEL)
-    near = np.flatnonzero(np.abs(offset) <= max(line.width / 2, 0.5))
-    top = int(near[np.argmax(ratio[near])])
+    top = int(np.argmax(np.where(np.abs(offset) <= max(line.width / 2, 0.5), ratio, -1.0)))
     first, last = _edges(ratio, difference, top, 2 * int(WIDEST_GLINT * line.width) + 1)
-    clear = np.flatnonzero(~shaded[first : last + 1])
-    if len(clear):
-        first, last = first + int(clear[0]), first + int(clear[-1])
-        top = first + int(np.argmax(ratio[first : last + 1]))
     width = offset[last] - offset[first] + 0.5
-    line = Line(path[middle], float(np.arctan2(along[middle, 1], along[middle, 0])), line.width)
-    sound = len(clear) > 0 and 0 < first and last < len(offset) - 1 and line.width / 2 <= width <= 2 * line.width
+    sound = difference[top] > TINGE and 0 < first and last < len(offset) - 1 and line.width / 2 <= width <= 2 * line.width
+    shift, inner = (offset[first] + offset[last]) / 2, np.linspace(offset[first] + 0.2 * width, offset[last] - 0.2 * width, 5)
     if not sound:
-        if before is not None:
-            return line, before
-        first, last, width = top, top, line.width
-    shift = (offset[first] + offset[last]) / 2 if last > first else 0.0
-    inner = np.linspace(offset[first] + 0.2 * width, offset[last] - 0.2 * width, 5) if last > first else offset[[top]]
-    colours = usual[np.argmin(np.abs(offset[:, None] - inner), axis=0)]
+        shift, inner, width = 0.0, offset[[top]], line.width
+    colours, ahead = usual[np.argmin(np.abs(offset[:, None] - inner), axis=0)], along[middle]
     polarity = "light" if np.median(colours[:, 0]) > (usual[0, 0] + usual[-1, 0]) / 2 else "dark"
-    return (replace(line, point=line.point + shift * normal_to(along[middle]), width=max(float(width), 2.0)),
-            Look(colours, float(difference[top]), polarity, sound))
+    line = Line(path[middle] + shift * normal_to(ahead), float(np.arctan2(ahead[1], ahead[0])), max(float(width), 2.0))
+    return line, Look(colours, usual[[0, -1]], deepest, float(difference[top]), polarity, sound)
 
 
 def window(image: np.ndarray, place: np.ndarray, reach: int) -> tuple[np.ndarray, np.ndarray]:
@@ -302,15 +287,16 @@ def window(image: np.ndarray, place: np.ndarray, reach: int) -> tuple[np.ndarray
 
 
 def _across(image: np.ndarray, path: np.ndarray, width: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(N, n, 3) colours across a path (N, 2), its (N, 2) directions, and the (n,) offsets in px."""
-    span = int(max(1, width))
-    along = unit_vectors(cv2.blur(np.gradient(path, axis=0)[:, None], (1, 2 * span + 1), borderType=cv2.BORDER_REPLICATE)[:, 0])
+    """(N, n, 3) colours in Lab across a path (N, 2), its (N, 2) directions, and the (n,) offsets in px."""
+    step, smoothing = np.gradient(path, axis=0)[:, None], (1, 2 * int(max(1, width)) + 1)
+    along = unit_vectors(cv2.blur(step, smoothing, borderType=cv2.BORDER_REPLICATE)[:, 0])
     offset = np.arange(-REACH * width, REACH * width + 0.01, 0.5)
     place, reach = path.mean(axis=0), int(np.abs(path - path.mean(axis=0)).max() + REACH * width) + 4
     pixels, corner = window(image, place, reach)
-    at = (path - corner)[:, None] + offset[:, None] * normal_to(along)[:, None]
-    at = at.astype(np.float32)
-    return cv2.remap(pixels, at[..., 0], at[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE), along, offset
+    at = ((path - corner)[:, None] + offset[:, None] * normal_to(along)[:, None]).astype(np.float32)
+    seen = [lab(cv2.remap(pixels, rows[..., 0], rows[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE))
+            for rows in np.split(at, np.arange(ROWS, len(at), ROWS))]
+    return np.concatenate(seen), along, offset
 
 
 def _edges(ratio: np.ndarray, difference: np.ndarray, top: int, glint: int) -> tuple[int, int]:
@@ -324,11 +310,41 @@ def _edges(ratio: np.ndarray, difference: np.ndarray, top: int, glint: int) -> t
     return first + int(np.argmax(outer >= outer.max() / 2)), last - int(np.argmax(inner[::-1] >= inner.max() / 2))
 
 
-def _in_shadow(colours: np.ndarray) -> np.ndarray:
-    """(n,) bool: which of (n, 3) B, G, R across a thread are those of either end in a shadow."""
-    found = np.zeros(len(colours), dtype=bool)
-    for ground in (colours[0], colours[-1]):
-        factor = colours @ ground / max(float(ground @ ground), 1e-9)
-        off = np.linalg.norm(lab(colours) - lab(factor[:, None] * ground), axis=1)
-        found |= (factor >= DEEPEST) & (factor <= 1.0) & (off <= TINGE)
-    return found
+def _unlike(seen: np.ndarray, ground: np.ndarray, deepest: float) -> np.ndarray:
+    """(...) distances in Lab of colours ``seen`` (..., 3) from those of the ``ground`` (..., 3), lit or in a shadow."""
+    (lightness, a, b), (high, own_a, own_b) = (np.moveaxis(colours, -1, 0) for colours in (seen + LIT, ground + LIT))
+    factor = (a * own_a + b * own_b) / np.maximum(own_a**2 + own_b**2, 1e-9)
+    factor, high = np.clip(factor, deepest, DEEPER if deepest < 1 else 1.0), np.clip(lightness, deepest * high, high)
+    return np.sqrt((lightness - high) ** 2 + (a - factor * own_a) ** 2 + (b - factor * own_b) ** 2)
+
+
+def _likeness(seen: np.ndarray, looks: list[Look]) -> np.ndarray:
+    """(H, W) likeness, 0 to 255, of colours ``seen`` (H, W, 3) in Lab to the thread as it looked; half of it where the
+    background of the last look is as near, and less where that is nearer."""
+    colours, flat = np.float32(np.concatenate([look.colours for look in looks])), np.ascontiguousarray(seen.reshape(-1, 3).T)
+    tolerance = np.float32(np.clip(looks[0].contrast / 2, LEAST_TOLERANCE, TOLERANCE))
+    own = ((colours**2).sum(axis=1)[:, None] - 2 * colours @ flat).min(axis=0) + (flat * flat).sum(axis=0)
+    own = np.maximum(own, 0).reshape(seen.shape[:2]) / tolerance**2
+    ground = np.minimum(*(_unlike(seen, np.float32(ground), looks[-1].deepest) for ground in looks[-1].ground)) / tolerance
+    return 255 * np.exp(-own) / (1 + np.exp(np.clip(own - ground**2, -50, 50)))
+
+
+def _centred(image: np.ndarray, path: np.ndarray, there: np.ndarray, width: float, deepest: float) -> np.ndarray:
+    """The (N, 2) points of a path midway between the edges of the thread, which is ``width`` px wide; where it is not ``there``
+    (N,), or has no two edges, as far aside as beyond."""
+    seen, along, offset = _across(image, path, width)
+    unlike = np.minimum(*(_unlike(seen, seen[:, [end]], deepest) for end in (0, -1)))
+    unlike = cv2.blur(unlike, (1, int(width) // 2 * 2 + 1), borderType=cv2.BORDER_REPLICATE)
+    edges, rows = [], np.arange(len(path))
+    for side in (-1, 1):  # from a quarter of the width outwards
+        outward = np.flatnonzero((side * offset >= width / 4) & (side * offset <= 0.75 * width + 1))[::side]
+        level = unlike[:, outward]
+        half = level[:, np.abs(offset[outward]) <= width / 2].max(axis=1) / 2
+        at = np.minimum(len(outward) - 1 - np.argmax(level[:, ::-1] >= half[:, None], axis=1), len(outward) - 2)
+        inner, outer = level[rows, at], level[rows, at + 1]
+        edge = offset[outward[at]] + side * 0.5 * (inner - half) / np.maximum(inner - outer, 1e-9)
+        edges.append(np.where((outer < half) & (half > TINGE / 2), edge, np.nan))
+    shift, found = np.mean(edges, axis=0), edges[1] - edges[0]
+    clear = np.convolve(~there, np.ones(2 * int(width) + 1), "same")[: len(path)] == 0  # a gap's cause pulls the line aside
+    sure = clear & (found > 0.6 * width) & (found < 1.5 * width)
+    return path if not sure.any() else path + np.interp(rows, rows[sure], shift[sure])[:, None] * normal_to(along)
