@@ -233,7 +233,7 @@ def trial(data, names, source, tmp_path_factory, capfd) -> None:
         shutil.rmtree(folder, ignore_errors=True)
 
 
-@settings(max_examples=60, **FREE)
+@settings(max_examples=30, **FREE)
 @given(data=st.data())
 def test_quick_commands_refuse_in_one_line(data, quick_corpus, tmp_path_factory, capfd):
     trial(data, QUICK, quick_corpus, tmp_path_factory, capfd)

@@ -80,20 +80,9 @@ def test_what_was_killed_holds_nothing_and_what_it_left_half_written_goes(tmp_pa
     check_refused("another sweep", claim, tmp_path, "other", experiment)
 
 
-@pytest.fixture(scope="module")
-def runs(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("runs")
-    sweep(folder / "static", small_lab(), GRID)
-    sweep(folder / "dynamic", small_lab(), GRID, options=DYNAMIC)
-    return folder
-
-
 @pytest.fixture
-def copy(runs, tmp_path):
-    def copied(name: str):
-        shutil.copytree(runs / name, tmp_path / name)
-        return tmp_path / name
-    return copied
+def copy(finished_sweeps, tmp_path):
+    return lambda name: shutil.copytree(finished_sweeps[name][0], tmp_path / name)
 
 
 def with_value(run, name: str, value) -> None:

@@ -205,8 +205,10 @@ def test_plane_is_upright_along_the_rods(up, rng):
         assert right[0] > 0.99
 
 
-@pytest.mark.parametrize(("height", "view"), [(2.0, "from above"), (60.0, "from the side")])
-@pytest.mark.parametrize("up", [(0.0, 0.0, 1.0), (0.0, 1.0, 0.0)])
+@pytest.mark.sampled(2)
+@pytest.mark.parametrize(("height", "view", "up"), [
+    (2.0, "from above", (0.0, 1.0, 0.0)), (60.0, "from the side", (0.0, 0.0, 1.0)),
+    (2.0, "from above", (0.0, 0.0, 1.0)), (60.0, "from the side", (0.0, 1.0, 0.0))])
 def test_flat_rods_are_shown_from_above(tmp_path, monkeypatch, height, view, up):
     shown = []
     monkeypatch.setattr("doo_ti.report.canvas.literal", lambda text: shown.append(text) or text)
