@@ -44,28 +44,18 @@ def test_a_rig_from_images(pictures, tmp_path, capsys):
     out, argv = Path("new/rig.yaml"), f"calibrate {pictures}/views.csv --board {TEXT} --out new/rig.yaml"
     printed = succeeded(capsys, argv)
     assert "3 cameras" in printed and "4 views" in printed and "540 corners" in printed and "1 of 11 images" in printed
-    found, content, middle = load_rig(out), out.read_bytes(), BOARD.points.mean(axis=0)
+    found, middle = load_rig(out), BOARD.points.mean(axis=0)
     assert found.names == RIG.names
     for camera, truth in zip(found.cameras, RIG.cameras):
         assert (camera.width, camera.height) == (640, 480)
         assert np.linalg.norm(camera.centre - truth.centre - middle) < 0.5
-    summary = json.loads(succeeded(capsys, f"{argv} --json"))
-    assert out.read_bytes() == content and summary["rms_px"] < 0.3 and len(summary["images"]) == 11
+    summary = json.loads(succeeded(capsys, f"{argv} --json --world camera --distortion 2"))
+    assert summary["rms_px"] < 0.3 and len(summary["images"]) == 11
     assert summary["without_board"] == [{"view": "view3", "camera": "cam0", "corners": 0, "left_out": 0, "rms_px": None}]
     assert summary["worst"]["rms_px"] == max(image["rms_px"] or 0 for image in summary["images"])
-    cameras = json.loads(succeeded(capsys, f"{argv} --json --world camera --distortion 2"))["cameras"]
+    cameras = summary["cameras"]
     assert cameras[0]["centre_mm"] == [0, 0, 0] and cameras[0]["centre_sigma_mm"] == [0, 0, 0]
     assert cameras[1]["distortion"][2:] == [0, 0, 0] and min(cameras[2]["centre_sigma_mm"]) > 0
-
-
-def test_pixels_that_are_no_squares_are_said(pictures, tmp_path, capsys):
-    """Images that are 2 % taller, as of a board that was printed so."""
-    for path in pictures.glob("*.png"):
-        image = cv2.imread(str(path))
-        cv2.imwrite(str(tmp_path / path.name), cv2.resize(image, (640, 490), interpolation=cv2.INTER_AREA))
-    (tmp_path / "views.csv").write_bytes((pictures / "views.csv").read_bytes())
-    assert main(["calibrate", str(tmp_path / "views.csv"), "--board", TEXT, "--out", str(tmp_path / "rig.yaml")]) == 0
-    assert capsys.readouterr().err.count("measure the board's squares both ways") == 3
 
 
 TABLES = {

@@ -50,7 +50,7 @@ def test_observations_for_a_machine(observed, capsys):
 
 def test_observations_for_a_person(observed, capsys):
     out = succeeded(capsys, "refine rod.npz --bend 4e4 --twist 2e4 --parameters bend,twist,rest-curvature-per-joint --clip 2 "
-                    "--folds 2 --no-models")
+                    "--folds 2 --no-models --starts 1")
     for words in ("rod: 16 of 16 observations", "95 % intervals", "rest curvature", "noise", "EI over weight", "held out"):
         assert words in out
     assert "N m²" not in out and "--out F.json" in out
