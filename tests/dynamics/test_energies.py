@@ -44,7 +44,7 @@ def test_energy_losses_and_work_balance(rng, start, end, scheme, order):
     """Rods with every loss and rest curvature, whose grippers move: what is unaccounted for is of the scheme's order in h."""
     rods = at_rest(rng, CURVED, start, end)
     left = []
-    for substeps in (8, 16):
+    for substeps in (6, 12):
         stepping = Stepping(RATE, substeps, scheme, detailed=True)
         found = simulate(rods, CURVED, shaken(rods, start, end), LOSSES, stepping)
         fine = found.detail.energies

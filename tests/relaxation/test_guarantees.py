@@ -13,7 +13,7 @@ from tests.relaxation.rods import PAIRS, assert_same, definite, wandering, with_
 
 EDGES = 20
 SOLVERS = {"newton": Newton(), "descent": Descent(tolerance=1e-2, max_iterations=300)}
-BAD = 37  # the place of the bad rod
+BAD = 11  # the place of the bad rod
 
 
 def rods_under_all_clamps(rng, count: int = len(PAIRS)):
@@ -84,13 +84,13 @@ SPOILED = {
 @pytest.mark.parametrize("solver, precision", [("newton", "f64"), ("descent", "f64"), ("newton", "f32"), ("newton", "mixed")])
 def test_one_bad_rod_does_not_spoil_its_neighbours(rng, how, solver, precision):
     """Warnings are errors here: a rod that cannot be relaxed says so by its status alone."""
-    start, clamps, _ = rods_under_all_clamps(rng, 60)
+    start, clamps, _ = rods_under_all_clamps(rng, 24)
     (field, value, kinds, status), material = SPOILED[how], Material(2e5, 1e5, 1.0)
     clamps = replace(clamps, start=kinds[0], end=kinds[1])
     healthy = relax(start, material, clamps, SOLVERS[solver], precision=precision)
     getattr(start if field == "quaternions" else clamps, field)[BAD] = value
     solution = relax(start, material, clamps, SOLVERS[solver], precision=precision)
-    others = np.flatnonzero(np.arange(60) != BAD)
+    others = np.flatnonzero(np.arange(24) != BAD)
     assert_same(solution, others, healthy, others)
     assert solution.status[BAD] == status and not solution.stable[BAD] and not solution.converged[BAD]
     for array in (solution.energy, solution.residual, solution.end_force, solution.configuration.vertices[:, 1:]):
