@@ -6,8 +6,6 @@ from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
 
-import pytest
-
 from tests.processes import ROOT, python
 
 PACKAGE = ROOT / "doo_ti"

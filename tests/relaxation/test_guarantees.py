@@ -1,15 +1,15 @@
-"""Guarantees for every rod: edge lengths, clamps, closure, energy, independence of bad rods."""
+"""Guarantees for every rod: edge lengths, clamps, closure, energy, independence of bad rods; the virtual lab at the true Θ."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from doo_ti import Clamp, Clamps, Configuration, Descent, Material, Newton, Status, relax
+from doo_ti import Clamp, Clamps, Configuration, Descent, Material, Newton, Status, distance, relax
 from tests.oracle.chain_form import rod_of
 from tests.oracle.equilibrium import State, energy_of
-from tests.references.rods import clamps_at, jiggled
-from tests.relaxation.rods import PAIRS, assert_same, definite, wandering, with_kinds
+from tests.references.rods import certified, clamps_at, jiggled
+from tests.relaxation.rods import PAIRS, RIBBON_WIDTH, assert_same, definite, lab, wandering, with_kinds
 
 EDGES = 20
 SOLVERS = {"newton": Newton(), "descent": Descent(tolerance=1e-2, max_iterations=300)}
@@ -101,3 +101,24 @@ def test_one_bad_rod_does_not_spoil_its_neighbours(rng, how, solver, precision):
 def test_two_edges_that_both_are_clamped_are_infeasible(rng):
     rods = wandering(rng, 3, 2)
     assert (relax(rods, Material(2e5, 1e5, 1.0), clamps_at(rods)).status == Status.INFEASIBLE).all()
+
+
+BARS = {"nylon": 0.90, "vicryl": 0.85, "silk": 0.90}
+
+
+@pytest.mark.parametrize("precision", ["f64", "f32", "mixed"])
+@pytest.mark.parametrize("name", BARS)
+def test_sutures_at_the_truth(laboratory, name, precision):
+    rod = lab(laboratory, name)
+    solution = certified(relax(rod.start, rod.material, rod.clamps, up=rod.observations.up, precision=precision))
+    assert distance(solution.configuration, rod.observations).mean() <= BARS[name]
+
+
+def test_ribbon_at_the_truth(laboratory):
+    """Started from the measured frames; what is off is their noise, not the solver's choice of minimum."""
+    rod = lab(laboratory, "ribbon")
+    plain, careful = (certified(relax(rod.start, rod.material, rod.clamps, solver, up=rod.observations.up))
+                      for solver in (Newton(), Newton.careful()))
+    error, same = (distance(solution.configuration, rod.observations, frame_weight=RIBBON_WIDTH).mean()
+                   for solution in (plain, careful))
+    assert error == pytest.approx(same, rel=1e-3) and error < 2.0
