@@ -276,7 +276,7 @@ def said_of(pixels: np.ndarray, capsys) -> str:
 
 
 def test_what_is_wrong_with_labels_is_named(rng, capsys):
-    pixels = labelled(rng, 6)
+    pixels = labelled(rng, 4)
     assert said_of(pixels, capsys) == ""
     assert "if images had 2 times as many pixels" in said_of(pixels / 2, capsys)
     assert "if cam0 and cam2 are exchanged" in said_of(pixels[[2, 1, 0]], capsys)
