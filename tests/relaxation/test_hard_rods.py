@@ -96,8 +96,9 @@ ROWS = {
 every_row = pytest.mark.parametrize("row", ROWS)
 
 
-@pytest.mark.parametrize("precision", ["f32", "mixed", "f64"])
+@pytest.mark.sampled(len(ROWS))
 @every_row
+@pytest.mark.parametrize("precision", ["mixed", "f64", "f32"])
 def test_every_status_is_right(row, precision):
     rods, material, clamps = ROWS[row](np.random.default_rng(SEED), 8)
     solution = relax(rods, material, clamps, precision=precision)
