@@ -25,7 +25,7 @@ SHARED_KERNELS = {
     "motions": ("tests/dynamics/", "tests/commands/test_simulate.py", "tests/motion/"),
     "images": ("tests/perception/", "tests/vision/test_distance_map.py", "tests/vision/test_relaxed_on_images.py",
                "tests/vision/test_reprojection.py", "tests/commands/test_perceive.py", "tests/commands/test_track.py",
-               "tests/commands/test_servo.py", "tests/examples/test_examples.py::test_example[04_",
+               "tests/commands/test_servo.py", "tests/manipulation/", "tests/examples/test_examples.py::test_example[04_",
                "tests/examples/test_examples.py::test_example[08_"),
     "sweeps": ("tests/learning/test_sweep.py", "tests/learning/test_run_folder.py", "tests/commands/test_runs.py")}
 """Tests that use the same kernels, which take up to a minute to compile, or the same ``finished_sweeps``."""
