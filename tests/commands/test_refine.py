@@ -174,7 +174,7 @@ def test_up_is_three_numbers_or_an_axis(observed, capsys, words, up):
 
 SCENE = """
 name = "cord"
-synthesis = { bend = 1.8e6, twist = 1.2e6, end_distances_mm = [42.0, 66.0], end_rotations_deg = [0.0, 120.0], fine_edge_mm = 3.0 }
+synthesis = { bend = 2e6, twist = 1e6, end_distances_mm = [42.0, 66.0], end_rotations_deg = [0.0, 120.0], fine_edge_mm = 3.0 }
 grid = { bend = "2e5:5e6:3", twist_ratio = "0.3:3:2" }
 """
 

@@ -153,7 +153,7 @@ def test_ropes_fall_across_rims(rng, obstacle, radius, friction):
     rods = replace(rods, start=start)
     bend = 10.0 ** rng.uniform(-4.0, 1.0, count) * length**3
     grippers = Grippers.resting(end_clamps(rods, Clamp.FREE, Clamp.FREE), 31)
-    found = simulate(rods, Material(bend, bend), grippers, Dynamics(), Stepping(100.0), obstacles=[replace(obstacle, friction=friction)],
-                     radius=radius)
+    found = simulate(rods, Material(bend, bend), grippers, Dynamics(), Stepping(100.0), radius=radius,
+                     obstacles=[replace(obstacle, friction=friction)])
     assert found.converged.sum() >= count - 1
     assert gaps([obstacle], found.positions[found.status == 0], radius).min() > -1e-4 * radius
