@@ -130,7 +130,7 @@ def large(shape: tuple[int, ...]):
 
 
 @pytest.mark.parametrize("shape", [(1300, 700), (5, 2000), (3000,)])
-def test_blocks_keep_what_matters(shape):
+def test_blocks_keep_what_matters_and_a_small_landscape_stays_as_it_is(shape):
     axes, values, minimum, unfinished = large(shape)
     plane = LandscapePlane.of(axes, values, minimum, unfinished)
     drawn, borders = plane.blocks()
@@ -142,11 +142,7 @@ def test_blocks_keep_what_matters(shape):
         fine = cell_edges(whole)
         assert (edges[0], edges[-1]) == (fine[0], fine[-1]) and np.isin(edges, fine).all()
         assert ((edges[:-1] < small[1]) & (small[1] < edges[1:])).all()
-
-
-def test_a_small_landscape_stays_as_it_is():
-    axes, values, minimum, unfinished = large((MOST_DRAWN, 7))
-    plane = LandscapePlane.of(axes, values, minimum, unfinished)
+    plane = LandscapePlane.of(*large((MOST_DRAWN, 7)))
     drawn, borders = plane.blocks()
     assert drawn is plane
     np.testing.assert_array_equal(borders[1], cell_edges(plane.axes[1]))
