@@ -25,9 +25,10 @@ SHARED_KERNELS = {
     "motions": ("tests/dynamics/", "tests/commands/test_simulate.py", "tests/motion/"),
     "images": ("tests/perception/", "tests/vision/test_distance_map.py", "tests/vision/test_relaxed_on_images.py",
                "tests/vision/test_reprojection.py", "tests/commands/test_perceive.py", "tests/commands/test_track.py",
-               "tests/commands/test_servo.py", "tests/examples/test_examples.py::test_example[04_",
-               "tests/examples/test_examples.py::test_example[08_")}
-"""Tests that use the same kernels, which take up to a minute to compile."""
+               "tests/commands/test_servo.py", "tests/manipulation/", "tests/examples/test_examples.py::test_example[04_",
+               "tests/examples/test_examples.py::test_example[08_"),
+    "sweeps": ("tests/learning/test_sweep.py", "tests/learning/test_run_folder.py", "tests/commands/test_runs.py")}
+"""Tests that use the same kernels, which take up to a minute to compile, or the same ``finished_sweeps``."""
 
 
 def pytest_report_header() -> str:
@@ -76,6 +77,17 @@ def rng() -> np.random.Generator:
     """A fresh generator for every test; its seed is in the header of each run and beside each failure."""
     print(f"seed: {SEED}")
     return np.random.default_rng(SEED)
+
+
+@pytest.fixture(scope="session")
+def finished_sweeps(tmp_path_factory) -> dict[str, tuple[Path, dict]]:
+    """(folder, summary) of finished sweeps on the small lab, ``static`` and ``dynamic``: to be read, or copied."""
+    from tests.learning.lab import DYNAMIC, GRID, small_lab, sweep
+
+    folder, found = tmp_path_factory.mktemp("finished"), {}
+    for name, options in (("static", {}), ("dynamic", {"options": DYNAMIC})):
+        found[name] = folder / name, sweep(folder / name, small_lab(), GRID, command=["doo-ti", "sweep", "lab"], **options)
+    return found
 
 
 class DevelopmentData(type(Path())):

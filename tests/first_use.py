@@ -5,9 +5,8 @@
 
 import sys
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import fields, is_dataclass
 from threading import Barrier
 
 import numpy as np
@@ -102,18 +101,19 @@ PREPARED = {"score": scored, "perceive": perceived, "Tracker": tracked, "identif
 """Functions that prepare what is given, and return the call."""
 
 
-def numbers(value: object) -> list[np.ndarray]:
-    """Every array in a result."""
+def arrays(value: object, name: str = "", met: set | None = None) -> Iterator[tuple[str, np.ndarray]]:
+    """Every array in ``value``, by where it is."""
+    met = set() if met is None else met
+    if id(value) in met or isinstance(value, str | bytes | type):
+        return
+    met.add(id(value))
     if isinstance(value, np.ndarray):
-        return [value]
-    parts: list = []
-    if is_dataclass(value):
-        parts = [getattr(value, entry.name) for entry in fields(value) if entry.name != "tables"]
-    elif isinstance(value, dict):
-        parts = list(value.values())
-    elif isinstance(value, (list, tuple)):
-        parts = list(value)
-    return [array for part in parts for array in numbers(part)]
+        yield name, value
+    elif isinstance(value, dict | list | tuple):
+        for key, part in value.items() if isinstance(value, dict) else enumerate(value):
+            yield from arrays(part, f"{name}[{key!r}]", met)
+    elif type(value).__module__.startswith("doo_ti"):
+        yield from arrays(vars(value) if hasattr(value, "__dict__") else (), name, met)
 
 
 def main(name: str, count: int) -> str:
@@ -122,7 +122,7 @@ def main(name: str, count: int) -> str:
     def work(_: int) -> list[np.ndarray] | str:
         together.wait()
         try:
-            return numbers(call())
+            return [array for name, array in arrays(call()) if "tables" not in name]
         except BaseException as error:
             return f"{type(error).__name__}: {error}"
     with ThreadPoolExecutor(count) as threads:

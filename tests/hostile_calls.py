@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 
 import doo_ti as d
-from tests.first_use import CLAMPS, MATERIAL, ROPE, STEPPING, detection, group, path, picture, seen
+from tests.first_use import CLAMPS, MATERIAL, ROPE, STEPPING, arrays, detection, group, path, picture, seen
 
 THREE, HELD = d.hanging([50.0, 60.0, 70.0], 6, start=(0, 0, 0), end=(30, 0, 0), clamp=d.Clamp.FRAME)
 NONE = np.arange(0)
@@ -269,21 +269,6 @@ def shown(value: object) -> str:
         return f"{value!r:.80}"
     except Exception:  # of an object that is wrong inside
         return f"a {type(value).__name__}"
-
-
-def arrays(value: object, name: str = "", met: set | None = None) -> Iterator[tuple[str, np.ndarray]]:
-    """Every array in ``value``, by where it is."""
-    met = set() if met is None else met
-    if id(value) in met or isinstance(value, str | bytes | type):
-        return
-    met.add(id(value))
-    if isinstance(value, np.ndarray):
-        yield name, value
-    elif isinstance(value, dict | list | tuple):
-        for key, part in value.items() if isinstance(value, dict) else enumerate(value):
-            yield from arrays(part, f"{name}[{key!r}]", met)
-    elif type(value).__module__.startswith("doo_ti"):
-        yield from arrays(vars(value) if hasattr(value, "__dict__") else (), name, met)
 
 
 def outcome(function: Callable, given: dict) -> str:

@@ -19,7 +19,7 @@ from tests.io.rods import wavy_vertices
 from tests.vision.boards import around, look, poses
 from tests.vision.test_triangulation import HEADER, good_rows, ribbon, written
 
-BOARD, RIG = Board(9, 6, 10.0), around()
+BOARD, RIG, SMALL = Board(9, 6, 10.0), around(), around(320, 240)
 TEXT = "chessboard:9x6:10"
 
 
@@ -30,9 +30,9 @@ def pictures(tmp_path_factory):
     lines = ["view,cam0,cam1,cam2"]
     for view, (turn, place) in enumerate(poses(BOARD, 4, rng)):
         names = []
-        for index, camera in enumerate(RIG.cameras):
+        for index, camera in enumerate(SMALL.cameras):
             name = f"{view}_{camera.name}.png"
-            image = look(BOARD, camera, turn, place, rng) if (view, index) != (3, 0) else np.full((480, 640), 90, np.uint8)
+            image = look(BOARD, camera, turn, place, rng) if (view, index) != (3, 0) else np.full((240, 320), 90, np.uint8)
             cv2.imwrite(str(folder / name), image)
             names.append("" if (view, index) == (2, 2) else name)
         lines.append(",".join([f"view{view}", *names]))
@@ -44,28 +44,18 @@ def test_a_rig_from_images(pictures, tmp_path, capsys):
     out, argv = Path("new/rig.yaml"), f"calibrate {pictures}/views.csv --board {TEXT} --out new/rig.yaml"
     printed = succeeded(capsys, argv)
     assert "3 cameras" in printed and "4 views" in printed and "540 corners" in printed and "1 of 11 images" in printed
-    found, content, middle = load_rig(out), out.read_bytes(), BOARD.points.mean(axis=0)
-    assert found.names == RIG.names
-    for camera, truth in zip(found.cameras, RIG.cameras):
-        assert (camera.width, camera.height) == (640, 480)
+    found, middle = load_rig(out), BOARD.points.mean(axis=0)
+    assert found.names == SMALL.names
+    for camera, truth in zip(found.cameras, SMALL.cameras):
+        assert (camera.width, camera.height) == (320, 240)
         assert np.linalg.norm(camera.centre - truth.centre - middle) < 0.5
-    summary = json.loads(succeeded(capsys, f"{argv} --json"))
-    assert out.read_bytes() == content and summary["rms_px"] < 0.3 and len(summary["images"]) == 11
+    summary = json.loads(succeeded(capsys, f"{argv} --json --world camera --distortion 2"))
+    assert summary["rms_px"] < 0.3 and len(summary["images"]) == 11
     assert summary["without_board"] == [{"view": "view3", "camera": "cam0", "corners": 0, "left_out": 0, "rms_px": None}]
     assert summary["worst"]["rms_px"] == max(image["rms_px"] or 0 for image in summary["images"])
-    cameras = json.loads(succeeded(capsys, f"{argv} --json --world camera --distortion 2"))["cameras"]
+    cameras = summary["cameras"]
     assert cameras[0]["centre_mm"] == [0, 0, 0] and cameras[0]["centre_sigma_mm"] == [0, 0, 0]
     assert cameras[1]["distortion"][2:] == [0, 0, 0] and min(cameras[2]["centre_sigma_mm"]) > 0
-
-
-def test_pixels_that_are_no_squares_are_said(pictures, tmp_path, capsys):
-    """Images that are 2 % taller, as of a board that was printed so."""
-    for path in pictures.glob("*.png"):
-        image = cv2.imread(str(path))
-        cv2.imwrite(str(tmp_path / path.name), cv2.resize(image, (640, 490), interpolation=cv2.INTER_AREA))
-    (tmp_path / "views.csv").write_bytes((pictures / "views.csv").read_bytes())
-    assert main(["calibrate", str(tmp_path / "views.csv"), "--board", TEXT, "--out", str(tmp_path / "rig.yaml")]) == 0
-    assert capsys.readouterr().err.count("measure the board's squares both ways") == 3
 
 
 TABLES = {

@@ -27,24 +27,18 @@ def test_the_program_alone_shows_its_commands(argv, capsys):
 
 
 @pytest.mark.parametrize("command", COMMANDS)
-def test_examples_are_valid(command, capsys):
-    page, lines = f"commands/{command}.md", EXAMPLES[command]
+def test_help_shows_valid_examples_and_what_matters_and_help_all_the_rest(command, capsys):
+    page, lines, out = f"commands/{command}.md", EXAMPLES[command], {}
     assert (ROOT / "docs" / page).exists() and len(lines) == 2
     for line, _ in lines:
         assert _parser().parse_args(shlex.split(line)).command == command
-    for argv in (["help", command], [command, "--help"]):
-        out = succeeded(capsys, argv)
-        assert all(f"\n  doo-ti {line}\n" in out for line, _ in lines) and out.endswith(f"More in docs/{page}\n")
-
-
-@pytest.mark.parametrize("command", COMMANDS)
-def test_help_shows_what_matters_and_help_all_the_rest(command, capsys):
+    for words in (f"help {command}", f"{command} --help", f"{command} --help-all"):
+        out[words] = succeeded(capsys, words)
+        assert all(f"\n  doo-ti {line}\n" in out[words] for line, _ in lines) and out[words].endswith(f"More in docs/{page}\n")
     names = {action.option_strings[-1]: action.required for action in _parser().commands[command]._actions
              if action.option_strings and action.help != "==SUPPRESS=="}
     assert set(FIRST.get(command, names)) <= set(names)
-    shown = {}
-    for word in ("--help", "--help-all"):
-        shown[word] = re.findall(r"^  (?:-h, )?(--[\w-]+)", succeeded(capsys, f"{command} {word}"), re.MULTILINE)
+    shown = {words.split()[-1]: re.findall(r"^  (?:-h, )?(--[\w-]+)", text, re.MULTILINE) for words, text in out.items()}
     assert set(shown["--help-all"]) - {"--help-all"} == set(names) - {"--help-all"}
     assert {name for name, required in names.items() if required} <= set(shown["--help"]) and len(shown["--help"]) <= 18
 

@@ -23,7 +23,7 @@ def test_steps_are_valid_commands_that_end_with_their_own(command):
 
 def test_each_step_is_run_and_a_failure_is_reported(monkeypatch, capsys):
     monkeypatch.setattr(machine, "STEPS", {
-        "relax": ("convert absent.npz a.npz", "convert never.npz b.npz"), "sweep": ("help", "--version"),
+        "relax": ("--version", "convert absent.npz a.npz", "convert never.npz b.npz"), "sweep": ("--version",),
         "twist": ("--version",)})
     found = json.loads(ended(capsys, "warm relax sweep --json", 1)[0])
     assert set(found["seconds"]) == {"relax", "sweep"} and set(found["failed"]) == {"relax"}

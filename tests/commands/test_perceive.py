@@ -149,11 +149,8 @@ def test_a_click_beside_the_thread_is_an_error_of_its_set():
     ([590.0, 840, 594, 1205, 584, np.nan], (0, np.inf), [0, 2, 4]),  # half of the lines go on along the clips
     ([300.0, 301, 299, 305, 297, 302], (0, np.inf), range(6)), ([300.0, 410, 415, 412, 303, np.nan], (250, 350), [0, 4]),
     ([300.0, 340], (0, np.inf), range(2)), ([410.0, np.nan], (0, 350), [0])])
-def test_the_length_is_that_of_the_lines_that_agree(lengths, bounds, like):
+def test_the_length_is_that_of_the_lines_that_agree_and_at_a_bound_not_certain(lengths, bounds, like):
     assert np.flatnonzero(LengthBounds(*bounds).agreeing(np.array(lengths))).tolist() == list(like)
-
-
-def test_a_length_at_a_bound_is_not_certain():
     assert LengthBounds(285, 315).range(270, np.array([264, 277])).tolist() == [285, 292]
     assert LengthBounds().range(270, np.array([264, 277])).tolist() == [264, 277]
 

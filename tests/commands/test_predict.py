@@ -155,8 +155,8 @@ def test_a_scene_with_picture_and_recording(capsys):
 
 
 def test_rods_that_are_far_from_their_marks_are_pointed_out(folder, capsys):
-    assert "from its marks on average" in ended(capsys, words("seen.npz", "turn.csv", "--bend 6e3 --twist 1e3"))[1]
-    assert "warning" not in ended(capsys, words("seen.npz", "turn.csv"))[1]
+    assert "from its marks on average" in ended(capsys, words("seen.npz", "move.npz", "--relative --bend 6e3 --twist 1e3"))[1]
+    assert "warning" not in ended(capsys, words("seen.npz", "move.npz", "--relative"))[1]
 
 
 def test_a_rod_that_is_lost_is_reported(folder, capsys):

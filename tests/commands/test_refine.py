@@ -50,7 +50,7 @@ def test_observations_for_a_machine(observed, capsys):
 
 def test_observations_for_a_person(observed, capsys):
     out = succeeded(capsys, "refine rod.npz --bend 4e4 --twist 2e4 --parameters bend,twist,rest-curvature-per-joint --clip 2 "
-                    "--folds 2 --no-models")
+                    "--folds 2 --no-models --starts 1")
     for words in ("rod: 16 of 16 observations", "95 % intervals", "rest curvature", "noise", "EI over weight", "held out"):
         assert words in out
     assert "N m²" not in out and "--out F.json" in out
@@ -174,7 +174,7 @@ def test_up_is_three_numbers_or_an_axis(observed, capsys, words, up):
 
 SCENE = """
 name = "cord"
-synthesis = { bend = 1.8e6, twist = 1.2e6, end_distances_mm = [42.0, 66.0], end_rotations_deg = [0.0, 120.0] }
+synthesis = { bend = 2e6, twist = 1e6, end_distances_mm = [42.0, 66.0], end_rotations_deg = [0.0, 120.0], fine_edge_mm = 3.0 }
 grid = { bend = "2e5:5e6:3", twist_ratio = "0.3:3:2" }
 """
 

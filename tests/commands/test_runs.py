@@ -173,13 +173,14 @@ def test_a_large_grid_is_thinned_and_that_is_reported(one_run, tmp_path, capsys)
 
 
 @pytest.mark.parametrize(("runs_of", "words", "problem"), [
-    ("one_run", "silk silk", "static silk"), ("one_run", "missing", "finished sweep"), ("one_run", "", "RUN"),
-    ("one_run", "silk --observation 8", "observation"), ("one_run", "silk --observation x", "--observation"),
-    ("one_run", "silk --cells some", "--cells"), ("one_run", "silk --by colour", "--by"),
+    ("one", "static static", "static rod"), ("one", "missing", "finished sweep"), ("one", "", "RUN"),
+    ("one", "static --observation 6", "observation"), ("one", "static --observation x", "--observation"),
+    ("one", "static --cells some", "--cells"), ("one", "static --by colour", "--by"),
     pytest.param("lab", "silk static", "grid", marks=pytest.mark.thorough),
     pytest.param("lab", "unlabelled --by end-distance", "end_distance_mm", marks=pytest.mark.thorough)])
 def test_wrong_input_is_one_line_and_nothing_is_written(request, tmp_path, capsys, monkeypatch, runs_of, words, problem):
-    monkeypatch.chdir(request.getfixturevalue(runs_of))
+    folder = request.getfixturevalue("finished_sweeps" if runs_of == "one" else runs_of)
+    monkeypatch.chdir(folder["static"][0].parent if runs_of == "one" else folder)
     refused(capsys, tmp_path, f"figures {words} --out {tmp_path}/out", problem)
 
 

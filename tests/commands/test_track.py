@@ -21,24 +21,27 @@ from tests.vision.scenes import three_cameras
 BLANK = (4, 5)
 
 
-@pytest.fixture(scope="module")
-def filmed(tmp_path_factory):
+def film(folder, frames: int):
     """A folder with a video in which nothing is seen for two frames, its FRAMES.csv, the rig, and the far clamp's motion."""
-    folder = tmp_path_factory.mktemp("video")
     save_rig(folder / "rig.yaml", three_cameras())
     seed = ",".join(f"{value:.6f}" for value in (*rods()[0, 0], *(rods()[0, 1] - rods()[0, 0])))
     lines = ["frame,cam0,cam1,cam2,time_s,seed_x,seed_y,seed_z,dir_x,dir_y,dir_z\n"]
-    for row, frame in enumerate(images()):
+    for row in range(frames):
         names = [f"{row:03d}_cam{camera}.png" for camera in range(3)]
-        for name, image in zip(names, frame, strict=True):
+        for name, image in zip(names, images(row), strict=True):
             assert cv2.imwrite(str(folder / name), np.full_like(image, 200) if row in BLANK else image)
         lines.append(",".join([f"{row:03d}", *names, f"{row / 30:.4f}", seed if row == 0 else ",,,,,"]) + "\n")
     (folder / "frames.csv").write_text("".join(lines))
-    clamps = [far_motion().at(row / (FRAMES - 1)) for row in range(FRAMES)]
+    clamps = [far_motion().at(row / (FRAMES - 1)) for row in range(frames)]
     np.savez(folder / "motion.npz", end_position_mm=np.array([held.end_position[0] for held in clamps]),
              end_frame=np.array([held.end_frame[0] for held in clamps]))
     np.savez(folder / "short.npz", end_position_mm=np.zeros((3, 3)))
     return folder
+
+
+@pytest.fixture(scope="module")
+def filmed(tmp_path_factory):
+    return film(tmp_path_factory.mktemp("video"), 8)
 
 
 def of(folder, more: str = "", out: str = "new/f.npz") -> str:
@@ -52,8 +55,8 @@ def changed(folder, path, change) -> None:
 
 
 @pytest.mark.thorough
-def test_a_video_is_tracked_and_recorded(filmed, capsys):
-    printed = succeeded(capsys, of(filmed))
+def test_a_video_is_tracked_and_recorded(tmp_path_factory, capsys):
+    printed = succeeded(capsys, of(film(tmp_path_factory.mktemp("whole"), FRAMES)))
     assert "16 frames of 3 images" in printed and "2 frames by Algorithm 1: 000, 006" in printed and "lost: 004, 005" in printed
     assert sorted(path.name for path in Path("new").iterdir()) == ["f.npz", "f.rrd"]
     found = written("new/f.npz")
@@ -102,17 +105,14 @@ def test_images_in_another_order_are_said(filmed, capsys):
 
 def test_a_start_that_the_thread_has_left_is_uncertain():
     rig, rod = three_cameras(), smooth_curve(rods()[0], 20)
-    seen = [detect(image) for image in images()[0]]
+    seen = [detect(image) for image in images(0)]
     assert _off_thread(rig, seen, rod[0]) < 0.5 < 3.0 < _off_thread(rig, seen, rod[0] - 5 * (rod[40] - rod[0]))
     nothing = seen[1].take(np.zeros(seen[1].count, dtype=bool))
     assert _off_thread(rig, [seen[0], nothing, nothing], rod[0]) == 0
 
 
 def test_a_known_motion_is_taken(filmed, tmp_path, capsys):
-    changed(filmed, filmed / "eight.csv", lambda lines: lines[:9])
-    np.savez(filmed / "eight.npz", **{key: value[:8] for key, value in np.load(filmed / "motion.npz").items()})
-    more = f"--motion {filmed}/eight.npz --frames {filmed}/eight.csv --no-recording --json"
-    printed = json.loads(succeeded(capsys, of(filmed, more, "f.npz")))
+    printed = json.loads(succeeded(capsys, of(filmed, f"--motion {filmed}/motion.npz --no-recording --json", "f.npz")))
     assert printed["seeded"] == ["000", "006"] and printed["lost"] == ["004", "005"] and len(printed["tracked"]) == 4
     assert printed["written"] == ["f.npz"] and [path.name for path in tmp_path.iterdir()] == ["f.npz"]
 
@@ -124,7 +124,7 @@ def test_finished_frames_are_kept(filmed, tmp_path, capsys):
     frames = filmed / "broken.csv"
     changed(filmed, frames, lambda lines: [line.replace("003_cam1.png", str(broken)) for line in lines])
     err = ended(capsys, of(filmed, f"--frames {frames}", "f.npz"), 1)[1]
-    assert err.count("\n") == 1 and "broken.png" in err and "3 of 16 frames are kept" in err
+    assert err.count("\n") == 1 and "broken.png" in err and "3 of 8 frames are kept" in err
     assert written("f.npz")["how"].tolist() == [1, 0, 0]
 
 
@@ -151,7 +151,7 @@ def test_videos_and_single_cameras_are_refused(filmed, tmp_path, capsys):
 @pytest.mark.parametrize("change, words", [
     ("--bend 1e5:1e6:5", ("--bend", "grid")), ("--bend 1e5,2e5", ("--bend", "round")), ("--frames none.csv", ("none.csv",)),
     ("--rest-length 3:x", ("--rest-length",)), ("--bend-1 1e5", ("--bend-1", "unknown")),
-    ("--motion missing.npz", ("missing.npz",)), ("--motion short.npz", ("short.npz", "3 moments for 16 frames"))])
+    ("--motion missing.npz", ("missing.npz",)), ("--motion short.npz", ("short.npz", "3 moments for 8 frames"))])
 def test_wrong_options_are_reported(filmed, tmp_path, capsys, monkeypatch, change, words):
     monkeypatch.chdir(filmed)
     refused(capsys, tmp_path, of(filmed, change), *words)

@@ -33,16 +33,13 @@ def test_what_perception_wrote(twist, capsys):
     assert ((low <= phi) & (phi <= high)).all() and np.allclose(total, phi)
 
 
-def test_several_share_an_angle(twist):
+def test_several_share_an_angle_by_offsets_and_grasps(twist):
     found = made(f"{BARE.replace('bare', 'seen')} --observations 2 --picture phi.png")
     assert found["objective_mm"].shape == (2, 49) and Path("phi.png").read_bytes().startswith(b"\x89PNG")
     np.testing.assert_allclose(found["phi_grid_deg"], np.arange(-360, 361, 15))
     np.testing.assert_allclose(found["phi_deg"], 0, atol=1.0)  # end frames and twist are the true ones
     np.testing.assert_allclose(found["total_twist_deg"], np.degrees(twist), atol=1.0)
     assert found["group"].tolist() == [0, 0, 1, 1]
-
-
-def test_offsets_and_grasps(twist):
     np.testing.assert_allclose(made(f"{BARE} --offsets offsets.csv")["phi_deg"], [-45.0], atol=2.0)
     found = made(f"{BARE} --offsets frames.npz --regrasp 1 3")
     assert found["group"].tolist() == [0, 1, 1, 2]

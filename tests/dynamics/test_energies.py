@@ -15,7 +15,7 @@ from tests.references.rods import clamps_at
 from tests.relaxation.rods import wandering
 
 SCENES = Path(__file__).parents[2] / "scenes" / "motion"
-RATE, INSTANTS = 100.0, 31
+RATE, INSTANTS = 100.0, 21
 CURVED = Material(np.diag([2e5, 3e5])[None], 1e5, 1.0, np.array([[0.003, -0.002]]))
 LOSSES = Dynamics(drag=2.0, quadratic_drag=1e-3, bend_damping=0.01, twist_damping=0.02, point_mass=3.0)
 
@@ -44,7 +44,7 @@ def test_energy_losses_and_work_balance(rng, start, end, scheme, order):
     """Rods with every loss and rest curvature, whose grippers move: what is unaccounted for is of the scheme's order in h."""
     rods = at_rest(rng, CURVED, start, end)
     left = []
-    for substeps in (8, 16):
+    for substeps in (6, 12):
         stepping = Stepping(RATE, substeps, scheme, detailed=True)
         found = simulate(rods, CURVED, shaken(rods, start, end), LOSSES, stepping)
         fine = found.detail.energies

@@ -207,13 +207,16 @@ def test_a_loop_is_thrown_and_pops_out():
     assert (short[inside] > 300).all() and np.abs(short[-1]) < 10 and np.abs(short[: jumps[0] - 40]).max() < 90
 
 
-def test_omitted_quantities_stay_as_they_were(tmp_path):
+def test_omitted_quantities_stay_as_they_were_and_names_of_several_lines_take_one(tmp_path):
     (tmp_path / "scene.toml").write_text(MOTION, encoding="utf-8")
     scene = load_motion_scene(tmp_path / "scene.toml")
     assert scene.name == "scene" and scene.between == 1 and scene.start.edges == 20
     np.testing.assert_allclose(scene.path.end_position[:, 0], [[50, 0, 0], [50, 0, 0]])
     np.testing.assert_allclose(scene.clamps.end_position, [[60, 0, 0]])
     np.testing.assert_allclose(np.degrees(scene.path.end_rotation[:, 0]), [0, 30])
+    (tmp_path / "scene.toml").write_text('name = "a\\nb"\n' + MOTION.replace("materials.cord", 'materials."c\\nd"'))
+    scene = load_motion_scene(tmp_path / "scene.toml")
+    assert scene.name == r"a\nb" and scene.names == (r"c\nd",)
 
 
 def test_one_scene_is_for_predict_and_simulate(tmp_path):
@@ -251,9 +254,3 @@ def test_wrong_scenes_of_motion_are_named(tmp_path, old, new, word):
     assert old in MOTION
     file.write_text(MOTION.replace(old, new, 1), encoding="utf-8")
     check_refused(f"scene.toml: .*{word}", load_motion_scene, file)
-
-
-def test_names_of_several_lines_take_one(tmp_path):
-    (tmp_path / "scene.toml").write_text('name = "a\\nb"\n' + MOTION.replace("materials.cord", 'materials."c\\nd"'))
-    scene = load_motion_scene(tmp_path / "scene.toml")
-    assert scene.name == r"a\nb" and scene.names == (r"c\nd",)

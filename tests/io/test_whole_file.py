@@ -9,7 +9,8 @@ from doo_ti.system.files import whole_file, write_whole
 from tests.processes import python
 
 
-def test_a_file_takes_its_place_when_it_is_whole(tmp_path):
+def test_a_file_takes_its_place_when_it_is_whole_and_what_fails_leaves_the_one_before(tmp_path):
+    """Of two that write it beside each other the one that is whole last stays."""
     path = tmp_path / "F.npz"
     write_whole(path, lambda file: file.write(b"first"))
     with whole_file(path) as file:
@@ -17,19 +18,10 @@ def test_a_file_takes_its_place_when_it_is_whole(tmp_path):
         file.flush()
         assert path.read_bytes() == b"first" and Path(file.name).read_bytes() == b"second"
     assert path.read_bytes() == b"second" and list(tmp_path.iterdir()) == [path]
-
-
-def test_what_fails_leaves_the_file_before_it(tmp_path):
-    path = tmp_path / "F.npz"
-    write_whole(path, lambda file: file.write(b"first"))
     with pytest.raises(OSError, match="full"), whole_file(path) as file:
-        file.write(b"sec")
+        file.write(b"thi")
         raise OSError("full")
-    assert path.read_bytes() == b"first" and list(tmp_path.iterdir()) == [path]
-
-
-def test_two_write_one_file_beside_each_other(tmp_path):
-    path = tmp_path / "F.npz"
+    assert path.read_bytes() == b"second" and list(tmp_path.iterdir()) == [path]
     with whole_file(path) as first, whole_file(path) as second:
         first.write(b"first")
         second.write(b"second")

@@ -48,9 +48,8 @@ def assert_same_cells(first, second) -> None:
     assert_same_rows(cells(first), cells(second))
 
 
-def test_written_files(tmp_path, observations):
-    run = tmp_path / "run"
-    summary = sweep(run, observations, GRID, command=["doo-ti", "sweep", "lab"])
+def test_written_files(finished_sweeps):
+    run, summary = finished_sweeps["static"]
     assert sorted(path.name for path in run.iterdir()) == [
         "cells", "landscape.png", "observations.npz", "run.rrd", "summary.json"]
     assert json.loads((run / "summary.json").read_text()) == json.loads(json.dumps(summary))
@@ -105,13 +104,12 @@ def test_too_large_a_grid_is_reported_before_it_starts_and_a_folder_that_is_no_r
     check_refused("summary.json", read_experiment, tmp_path)
 
 
-def test_rows_are_what_eq_3_says(tmp_path):
+def test_rows_are_what_eq_3_says(observations, finished_sweeps):
     """Each row of a cell computed independently: one end carried in 48 sub-steps in f64."""
-    observations, run = small_lab(), tmp_path / "run"
-    summary, pairs = sweep(run, observations, GRID, options=DYNAMIC), pairs_from_labels(observations)
+    (run, summary), pairs = finished_sweeps["dynamic"], pairs_from_labels(observations)
     assert summary["pairs"] == 4 and summary["rods"] == {"count": 48, "converged": 48, "stable": 48}
     rows = cells(run)
-    for cell in (0, 4, 11):
+    for cell in (0, 11):
         values = {name: value[cell] for name, value in GRID.cell_values().items()}
         material, clamps = Material(values["bend_1"], values["twist"]), observation_clamps(observations)
         at_rest = relax(start_configuration(observations, clamps), material, clamps).configuration.take(pairs.from_index)

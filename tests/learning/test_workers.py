@@ -60,6 +60,7 @@ def assert_refused(folder, scheduler: str, match: str = "scheduler: ") -> None:
     assert not (folder / "run").exists()
 
 
+@pytest.mark.thorough
 @pytest.mark.filterwarnings("default")
 def test_what_is_no_scheduler_is_refused(tmp_path, monkeypatch):
     pytest.importorskip("distributed", reason="no cluster without Dask")

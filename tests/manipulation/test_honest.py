@@ -82,7 +82,8 @@ def halved(rod: d.Configuration) -> d.Configuration:
     return d.relax(with_half_edges(rod), THETA, held).configuration
 
 
-@pytest.mark.parametrize("shift, turn", [((-30, 40, 20), 0.0), ((-60, 30, 20), 2.0)])
+@pytest.mark.sampled(1)
+@pytest.mark.parametrize("shift, turn", [((-60, 30, 20), 2.0), ((-30, 40, 20), 0.0)])
 def test_the_mesh_error_of_a_plan_is_how_far_a_finer_rod_ends_from_it(hung, shift, turn):
     """A rod of 129 edges, at the arc lengths of the vertices of 33."""
     begin, clamps, _ = hung

@@ -46,12 +46,12 @@ def test_vertex_form_is_the_chain_form_with_its_derivatives(rng):
 
 def test_derivatives_with_springs_and_forces_are_differences(rng):
     """In the translation of the first vertex and all rotations; springs at most vertices, blind in one direction."""
-    rod, state = random_rod(rng, edges=5), random_state(rng, edges=5, bending=0.2)
-    vertices, sight = vertices_of(rod, state), rng.normal(size=(6, 3))
+    rod, state = random_rod(rng, edges=4), random_state(rng, edges=4, bending=0.2)
+    vertices, sight = vertices_of(rod, state), rng.normal(size=(5, 3))
     sight /= np.linalg.norm(sight, axis=1, keepdims=True)
     blind = np.eye(3) - sight[:, :, None] * sight[:, None]
-    stiffness = np.array([150.0, 0.0, 300.0, 200.0, 100.0, 400.0])
-    target, force = vertices + 4.0 * rng.normal(size=(6, 3)), 300.0 * rng.normal(size=(6, 3))
+    stiffness = np.array([150.0, 0.0, 300.0, 100.0, 400.0])
+    target, force = vertices + 4.0 * rng.normal(size=(5, 3)), 300.0 * rng.normal(size=(5, 3))
     springs = Springs(stiffness[:, None, None] * blind, target, force)
     gradient, hessian = total_derivatives(rod, springs, state)
     step, every = 1e-4, np.arange(len(gradient))
@@ -62,6 +62,7 @@ def test_derivatives_with_springs_and_forces_are_differences(rng):
     ways = step * np.eye(len(gradient))
     slopes = [(energy(way) - energy(-way)) / (2 * step) for way in ways]
     np.testing.assert_allclose(gradient, slopes, atol=1e-6 * np.abs(gradient).max())
-    for row, way in zip(hessian, ways, strict=True):
-        bends = [(energy(way + a) - energy(way - a) - energy(a - way) + energy(-way - a)) / (4 * step**2) for a in ways]
-        np.testing.assert_allclose(row, bends, atol=1e-5 * np.abs(hessian).max())
+    np.testing.assert_allclose(hessian, hessian.T, atol=1e-12 * np.abs(hessian).max())
+    for k, way in enumerate(ways):
+        bends = [(energy(way + a) - energy(way - a) - energy(a - way) + energy(-way - a)) / (4 * step**2) for a in ways[k:]]
+        np.testing.assert_allclose(hessian[k, k:], bends, atol=1e-5 * np.abs(hessian).max())

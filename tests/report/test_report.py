@@ -41,15 +41,19 @@ def test_titles_fit_into_the_picture():
     assert right.title.get_fontsize() == 9
 
 
-def test_names_in_titles_legends_and_panels_are_no_mathematics():
+NAME, ANGLE = "a$^{$ b", np.arange(0.0, 360.0, 90.0)
+
+
+@pytest.mark.sampled(1)
+@pytest.mark.parametrize("picture, given, options", [
+    (landscapes_picture, ([[LandscapePanel(NAME, runs.plane(), ((NAME, (0, 0)),))]],), {}),
+    (motions_picture, (MovingRods(np.arange(3.0), np.cumsum(np.ones((3, 1, 5, 3)), axis=2), [NAME], np.zeros((3, 1), int),
+                                  np.ones((3, 1), bool)),), {}),
+    (angle_curves_picture, (ANGLE, ANGLE[None]),
+     {"phi": [0.0], "low": [0.0], "high": [9.0], "names": [NAME], "unsound": np.zeros((1, 4), bool)})])
+def test_names_in_titles_legends_and_panels_are_no_mathematics(picture, given, options):
     """matplotlib parses text between dollar signs as mathematics, in which this is an error."""
-    name, vertices = "a$^{$ b", np.cumsum(np.ones((3, 1, 5, 3)), axis=2)
-    landscapes_picture(io.BytesIO(), [[LandscapePanel(name, runs.plane(), ((name, (0, 0)),))]], title=name)
-    rods = MovingRods(np.arange(3.0), vertices, [name], np.zeros((3, 1), int), np.ones((3, 1), bool))
-    motions_picture(io.BytesIO(), rods, title=name)
-    angle = np.arange(0.0, 360.0, 90.0)
-    angle_curves_picture(io.BytesIO(), angle, angle[None], phi=[0.0], low=[0.0], high=[9.0], names=[name],
-                         unsound=np.zeros((1, 4), bool), title=name)
+    picture(io.BytesIO(), *given, title=NAME, **options)
 
 
 @pytest.mark.thorough
@@ -205,8 +209,10 @@ def test_plane_is_upright_along_the_rods(up, rng):
         assert right[0] > 0.99
 
 
-@pytest.mark.parametrize(("height", "view"), [(2.0, "from above"), (60.0, "from the side")])
-@pytest.mark.parametrize("up", [(0.0, 0.0, 1.0), (0.0, 1.0, 0.0)])
+@pytest.mark.sampled(2)
+@pytest.mark.parametrize(("height", "view", "up"), [
+    (2.0, "from above", (0.0, 1.0, 0.0)), (60.0, "from the side", (0.0, 0.0, 1.0)),
+    (2.0, "from above", (0.0, 0.0, 1.0)), (60.0, "from the side", (0.0, 1.0, 0.0))])
 def test_flat_rods_are_shown_from_above(tmp_path, monkeypatch, height, view, up):
     shown = []
     monkeypatch.setattr("doo_ti.report.canvas.literal", lambda text: shown.append(text) or text)

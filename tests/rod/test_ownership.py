@@ -9,8 +9,8 @@ import pytest
 import doo_ti as d
 from tests.dynamics.recordings import RATE, recorded
 from tests.dynamics.test_identify import OPTIONS, TRUE
-from tests.first_use import CLAMPS, MATERIAL, ROPE, seen
-from tests.hostile_calls import arrays, constructors, functions
+from tests.first_use import CLAMPS, MATERIAL, ROPE, arrays, seen
+from tests.hostile_calls import constructors, functions
 
 
 def writable(value: object) -> object:

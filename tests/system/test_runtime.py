@@ -1,5 +1,6 @@
 """How Taichi is started, by which threads and processes; its kernels; programs that use Taichi themselves, or fork."""
 
+import inspect
 import json
 import os
 import time
@@ -7,7 +8,9 @@ from pathlib import Path
 
 import pytest
 
+from doo_ti.relaxation import chain, contacts, newton_trip
 from doo_ti.system import runtime
+from doo_ti.system.taichi_internals import _lines_of
 from tests.first_use import CALLS, PREPARED
 from tests.processes import python
 
@@ -41,6 +44,26 @@ def test_as_many_threads_as_processors_have_one_each():
 def test_other_threads_go_where_the_system_likes(fewer, environment):
     threads, _ = places(len(PROCESSORS) - fewer, **environment)
     assert threads == [PROCESSORS] * (len(PROCESSORS) - fewer)
+
+
+ENDED = """
+import os
+import subprocess
+from doo_ti.system import runtime
+
+ended = subprocess.Popen(["true"])
+ended.wait()  # its number names nobody any more
+runtime.thread_count = lambda: len(runtime.processors())
+runtime.pin([ended.pid, os.getpid()])
+print(len(os.sched_getaffinity(0)))
+"""
+
+
+@of_two
+@pytest.mark.thorough
+def test_a_thread_that_has_ended_is_passed_over():
+    done = python("-W", "ignore", "-c", ENDED)
+    assert done.stdout.strip() == "1", done.stderr
 
 
 START = ("from doo_ti.commands.cli import main; import sys; "
@@ -86,6 +109,25 @@ def test_a_process_forked_before_the_first_use_has_kernels_of_its_own():
     assert done.stdout.split() == ["cpu", "cpu"], done.stderr
 
 
+def test_a_kernel_that_is_compiled_briefly_changes_no_setting():
+    import taichi as ti
+
+    runtime.start()
+    settings, seen = ti.lang.impl.current_cfg(), []
+
+    @runtime.compiled_briefly
+    def kernel(number: int) -> None:
+        seen.append((number, settings.advanced_optimization))
+        if number == 2:
+            raise ValueError
+    before = settings.advanced_optimization
+    kernel(1)
+    with pytest.raises(ValueError):
+        kernel(number=2)
+    on_cpu = runtime.start() == "cpu"
+    assert seen == [(1, not on_cpu), (2, not on_cpu)] and settings.advanced_optimization == before
+
+
 def test_the_clock_of_limits_stands_still_while_kernels_compile():
     began = time.monotonic() - runtime.working_time()
     with runtime._compiling():
@@ -120,6 +162,18 @@ def test_no_kernel_is_launched_beside_another():
     assert launched == [None]
     with pytest.raises(RuntimeError):  # the turn is given back
         nothing()
+
+
+def test_lines_of_kernels_functions_are_those_of_inspect():
+    def otherwise(function):
+        raise AssertionError(f"{function} is not found by its line")
+    lines, found = _lines_of(otherwise), 0
+    for kind in (chain.Chain, contacts.RodContacts, newton_trip.NewtonTrip):
+        for function in vars(kind).values():
+            if hasattr(function, "_is_taichi_function"):
+                assert lines(function) == inspect.getsourcelines(function)
+                found += 1
+    assert found > 20
 
 
 TOGETHER = """
