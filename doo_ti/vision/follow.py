@@ -28,10 +28,8 @@ from doo_ti.vision.ridge import ROWS, TOLERANCE, WORKING_WIDTH, Curvature, as_co
 
 REACH_PX = 4.0  # from the pixel to the thread's middle, or half a width, whichever is more
 FINEST, OCTAVES = 2.0, 6  # widths tried, px: two to an octave, up to 180
-DIRECTIONS = 24
-SEGMENT = 1.5  # half the length of the line at the start, in widths
+DIRECTIONS, SEGMENT = 24, 1.5  # of lines at the start, and half their length in widths
 FINENESS = 1.75  # power of σ in the strength of the start's line: 2 treats all widths alike, but threads have shadows
-LEAST_TOLERANCE = 5.0
 AHEAD, SHARPEST, ARCS = 6.0, 0.35, 21  # length of arcs in widths, their largest curvature times the width, and their number
 PRESENT = 0.35  # least strength of the line over its median along the path so far
 FULL = 0.41 * 255  # second derivative times σ², σ = 0.35 widths, on the middle of a clean line
@@ -40,12 +38,12 @@ STRAIGHT = 0.15  # strength that an arc of the largest curvature must have more 
 SHORTEST = 4.0  # widths of a thread
 WITHIN = 0.5  # share of the largest ratio of difference and scatter up to which a place is within the thread
 SURELY_WITHIN = 2.5  # ratio from which on a place is within the thread in any case: its stripes may differ
-LEVEL = 3.0  # Lab: scatter without noise
+LEVEL, LEAST_TOLERANCE = 3.0, 5.0  # Lab: scatter without noise, and of colours of the thread
 LIT = np.float32([16, 0, 0])  # less light multiplies (L + 16, a, b), the cube roots of intensities, by a number
 DEEPEST, DEEPER = 0.7, 1.25  # of a shadow, with a third of the light; a and b may be more of the background's than L
 TINGE = 6.0  # Lab by which colours of shadows may differ from that
 STRETCH = 3.0  # widths of thread after which its colours are looked at again
-SAME = 0.3  # share by which the width at the start and farther along may differ
+SAME = 0.5  # share by which the width at the start and farther along may differ
 REACH = 2.5  # widths to either side that are looked at
 SMOOTHING_PX = 0.7
 
@@ -149,32 +147,28 @@ def _followed(levels: list[np.ndarray], line: Line, sound: bool, deepest: float
     image, scale, line = levels[level], 2.0**level, Line(line.point / 2.0**level, line.angle, line.width / 2.0**level)
     step = np.arange(-np.ceil(SEGMENT * line.width), np.ceil(SEGMENT * line.width) + 1)
     path = line.point + step[:, None] * [np.cos(line.angle), np.sin(line.angle)]
-    near, look = looked(image, path, len(step) // 2, line, deepest)
-    walked = None if sound and not look.sound else _both_ways(image, near, look, 8 * line.width)
-    if walked is None:
+    line, look = looked(image, path, len(step) // 2, line, deepest)
+    found = None if sound and not look.sound else _both_ways(image, line, look, 8 * line.width)
+    found = found and (_both_ways(image, replace(line, width=found[2]), look, np.inf) or _both_ways(image, line, look, np.inf))
+    if found is None:
         return None
-    far, far_look = looked(image, walked[0], walked[2], near, deepest)
-    same = far_look.sound and abs(far.width - near.width) <= SAME * near.width
-    again = _both_ways(image, far, far_look, np.inf) if same else None
-    if again is None:  # what is farther along is misleading
-        far, far_look, again = near, look, _both_ways(image, near, look, np.inf)
-    if again is None:
-        return None
-    points = scale * _centred(image, again[0], again[1] > 0, far.width, deepest)
-    place = arc_lengths(points)
+    path, strength, width = found
+    points, width = _centred(image, path, strength > 0, width, deepest)
+    points, place = scale * points, scale * arc_lengths(points)
     at = np.arange(0, place[-1], 1.0)  # a pixel apart
-    strength = again[1][np.clip(np.searchsorted(place, at), 0, len(place) - 1)]
-    return placed(at, place, points), strength, far.width * scale, far_look.polarity
+    strength = strength[np.clip(np.searchsorted(place, at), 0, len(place) - 1)]
+    return placed(at, place, points), strength, width * scale, look.polarity
 
 
-def _both_ways(image: np.ndarray, line: Line, look: Look, length: float) -> tuple[np.ndarray, np.ndarray, int] | None:
-    """(N, 2) points and (N,) strengths of the thread as far as ``length`` px either way, and the number of the line's point;
-    None where it is no longer than four widths."""
-    ahead, ahead_strength = _walked(_Field(image, look, line.width), line, length)
-    back, back_strength = _walked(_Field(image, look, line.width), replace(line, angle=line.angle + np.pi), length)
-    path = np.concatenate([back[::-1], line.point[None], ahead])
-    strength = np.concatenate([back_strength[::-1], [FULL], ahead_strength])
-    return None if len(path) < SHORTEST * line.width else (path, strength, len(back))
+def _both_ways(image: np.ndarray, line: Line, look: Look, length: float) -> tuple[np.ndarray, np.ndarray, float] | None:
+    """(N, 2) points and (N,) strengths of the thread as far as ``length`` px either way, and its width; None where it is no
+    longer than four widths."""
+    fields = [_Field(image, look, line.width) for _ in range(2)]
+    (back, behind), (ahead, before) = (_walked(field, replace(line, angle=line.angle + turn), length)
+                                       for field, turn in zip(fields, (np.pi, 0.0), strict=True))
+    path, strength = np.concatenate([back[::-1], line.point[None], ahead]), np.concatenate([behind[::-1], [FULL], before])
+    width = float(np.median([line.width, *fields[0].widths, *fields[1].widths]))
+    return None if len(path) < SHORTEST * line.width else (path, strength, width)
 
 
 # --- from point to point -----------------------------------------------------------------------------------------------------
@@ -184,13 +178,14 @@ class _Field:
 
     def __init__(self, image: np.ndarray, look: Look, width: float):
         self.image, self.look, self.width, self.sigma = image, look, width, max(0.8, 0.35 * width)
-        self.centre, self.reach = np.full(2, np.inf), int((AHEAD + STRETCH) * width) + int(np.ceil(4 * self.sigma))
+        self.reach = int((AHEAD + STRETCH) * width) + int(np.ceil(4 * self.sigma))
+        self.widths, self.centre = [], np.full(2, np.inf)  # of the thread where it was looked at again; of the window
         side = 2 * int(WIDEST_GLINT * width / 2) + 1
         self.fill = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (side, side))
 
     def cover(self, point: np.ndarray, behind: np.ndarray, anew: bool) -> None:
-        """Moves the window to a ``point`` (2,) that is far from its middle, or ``anew``. There the thread looks as at the start,
-        or as along what is ``behind`` (N, 2)."""
+        """Moves the window to a ``point`` (2,) far from its middle, or ``anew``. There the thread looks as at the start, or as
+        along what is ``behind`` (N, 2)."""
         if not anew and np.linalg.norm(point - self.centre) <= STRETCH * self.width:
             return
         looks = [self.look]
@@ -198,6 +193,7 @@ class _Field:
             line, look = looked(self.image, behind, len(behind) // 2, Line(point, 0.0, self.width), self.look.deepest)
             if look.sound and abs(line.width - self.width) <= SAME * self.width:
                 looks.append(look)
+                self.widths.append(line.width)
         pixels, self.corner = window(self.image, point, self.reach)
         like = _likeness(lab(pixels.astype(np.float32)), looks)
         part, self.centre = Curvature(cv2.morphologyEx(like, cv2.MORPH_CLOSE, self.fill), self.sigma), point
@@ -329,9 +325,10 @@ def _likeness(seen: np.ndarray, looks: list[Look]) -> np.ndarray:
     return 255 * np.exp(-own) / (1 + np.exp(np.clip(own - ground**2, -50, 50)))
 
 
-def _centred(image: np.ndarray, path: np.ndarray, there: np.ndarray, width: float, deepest: float) -> np.ndarray:
-    """The (N, 2) points of a path midway between the edges of the thread, which is ``width`` px wide; where it is not ``there``
-    (N,), or has no two edges, as far aside as beyond."""
+def _centred(image: np.ndarray, path: np.ndarray, there: np.ndarray, width: float, deepest: float
+             ) -> tuple[np.ndarray, float]:
+    """The (N, 2) points of a path midway between the edges of the thread, about ``width`` px wide, and its width. Where it is not
+    ``there`` (N,), or has no two edges, points are as far aside as beyond."""
     seen, along, offset = _across(image, path, width)
     unlike = np.minimum(*(_unlike(seen, seen[:, [end]], deepest) for end in (0, -1)))
     unlike = cv2.blur(unlike, (1, int(width) // 2 * 2 + 1), borderType=cv2.BORDER_REPLICATE)
@@ -345,6 +342,9 @@ def _centred(image: np.ndarray, path: np.ndarray, there: np.ndarray, width: floa
         edge = offset[outward[at]] + side * 0.5 * (inner - half) / np.maximum(inner - outer, 1e-9)
         edges.append(np.where((outer < half) & (half > TINGE / 2), edge, np.nan))
     shift, found = np.mean(edges, axis=0), edges[1] - edges[0]
-    clear = np.convolve(~there, np.ones(2 * int(width) + 1), "same")[: len(path)] == 0  # a gap's cause pulls the line aside
-    sure = clear & (found > 0.6 * width) & (found < 1.5 * width)
-    return path if not sure.any() else path + np.interp(rows, rows[sure], shift[sure])[:, None] * normal_to(along)
+    sure = np.convolve(~there, np.ones(2 * int(width) + 1), "same")[: len(path)] == 0  # a gap's cause pulls the line aside
+    sure &= (found > 0.6 * width) & (found < 1.5 * width)
+    if sure.any():  # what smooths the image makes thin lines wider
+        path = path + np.interp(rows, rows[sure], shift[sure])[:, None] * normal_to(along)
+        width = float(np.sqrt(max(np.median(found[sure]) ** 2 - 8 * np.log(2) * SMOOTHING_PX**2, 1.0)))
+    return path, width

@@ -81,6 +81,20 @@ def test_the_shadow_beside_a_cable_is_no_part_of_it(colour, aside):
         assert min(shares(follow(image, tuple(beside(curve, shift)[900])).points, curve, 1.7)) > 0.97
 
 
+@pytest.mark.parametrize("shift", [-2.8, 2.8])
+def test_a_cable_round_which_a_stripe_winds_is_followed_at_its_middle(shift):
+    """One of its colours is near that of its shadow; clicks on either."""
+    curve, width, pixels = wave(), 10, np.stack(np.meshgrid(np.arange(600), np.arange(400)), axis=-1)
+    away, at = cKDTree(curve).query(pixels)
+    side = ((pixels - curve[at]) * normals(curve)[at]).sum(axis=-1)
+    light = 1 - 0.35 * np.exp(-0.5 * ((side - 10) / 5) ** 2) * (away < 40)
+    cable = np.where((side < 0.45 * width * np.sin(at / 130))[..., None], (60, 90, 40), (90, 150, 170))
+    share = np.clip(width / 2 + 0.5 - away, 0, 1)[..., None]
+    image = photographed(np.float32(PAPER) * light[..., None] * (1 - share) + cable * share, 3)
+    found = follow(image, tuple(beside(curve, shift)[900]))
+    assert min(shares(found.points, curve, 2.0)) > 0.97 and found.width_px == pytest.approx(width, abs=2.0)
+
+
 @pytest.mark.thorough
 @pytest.mark.parametrize("width", [2, 60, 150])
 def test_threads_of_any_width(width):
