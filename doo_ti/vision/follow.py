@@ -327,8 +327,8 @@ def _likeness(seen: np.ndarray, looks: list[Look]) -> np.ndarray:
 
 def _centred(image: np.ndarray, path: np.ndarray, there: np.ndarray, width: float, deepest: float
              ) -> tuple[np.ndarray, float]:
-    """The (N, 2) points of a path midway between the edges of the thread, about ``width`` px wide, and its width. Where it is not
-    ``there`` (N,), or has no two edges, points are as far aside as beyond."""
+    """The (N, 2) points of a path midway between the edges of the thread, about ``width`` px wide, and its width. Where it is
+    not ``there`` (N,), or has no two edges, points are as far aside as beyond."""
     seen, along, offset = _across(image, path, width)
     unlike = np.minimum(*(_unlike(seen, seen[:, [end]], deepest) for end in (0, -1)))
     unlike = cv2.blur(unlike, (1, int(width) // 2 * 2 + 1), borderType=cv2.BORDER_REPLICATE)
