@@ -184,8 +184,8 @@ class _Field:
         self.fill = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (side, side))
 
     def cover(self, point: np.ndarray, behind: np.ndarray, anew: bool) -> None:
-        """Moves the window to a ``point`` (2,) far from its middle, or ``anew``. There the thread looks as at the start, or as
-        along what is ``behind`` (N, 2)."""
+        """Move the window to a ``point`` (2,) if that is far from its middle, or if ``anew``. The thread's colours there are
+        those at the start and those along the path ``behind`` (N, 2)."""
         if not anew and np.linalg.norm(point - self.centre) <= STRETCH * self.width:
             return
         looks = [self.look]
@@ -255,8 +255,8 @@ def _walked(field: _Field, line: Line, longest: float) -> tuple[np.ndarray, np.n
 # --- across the thread -------------------------------------------------------------------------------------------------------
 
 def looked(image: np.ndarray, path: np.ndarray, middle: int, line: Line, deepest: float) -> tuple[Line, Look]:
-    """The line again, at the middle and with the width of the thread that the points ``path`` (N, 2) follow, and its look. The
-    line is at the point ``middle`` of them; it is as it was where the thread has no edges there."""
+    """The line at point number ``middle`` of a ``path`` (N, 2), moved to the thread's middle and with its width, and the
+    thread's look along the path. Place and width are unchanged where the thread has no two edges."""
     seen, along, offset = _across(image, path, line.width)
     usual = np.median(seen, axis=0)
     scatter = np.median(np.linalg.norm(seen - usual, axis=-1), axis=0)
@@ -327,8 +327,8 @@ def _likeness(seen: np.ndarray, looks: list[Look]) -> np.ndarray:
 
 def _centred(image: np.ndarray, path: np.ndarray, there: np.ndarray, width: float, deepest: float
              ) -> tuple[np.ndarray, float]:
-    """The (N, 2) points of a path midway between the edges of the thread, about ``width`` px wide, and its width. Where it is
-    not ``there`` (N,), or has no two edges, points are as far aside as beyond."""
+    """The (N, 2) points of a path moved midway between the edges of the thread, about ``width`` px wide, and its width. Where
+    it is not ``there`` (N,), or has no two edges, the shift is interpolated."""
     seen, along, offset = _across(image, path, width)
     unlike = np.minimum(*(_unlike(seen, seen[:, [end]], deepest) for end in (0, -1)))
     unlike = cv2.blur(unlike, (1, int(width) // 2 * 2 + 1), borderType=cv2.BORDER_REPLICATE)
