@@ -14,7 +14,7 @@ import numpy as np
 from doo_ti.commands import given
 from doo_ti.dynamics.recorded import RecordedMotion
 from doo_ti.io.arrays import checked_arrays, decoded, read_npz
-from doo_ti.io.observation_files import load_observations
+from doo_ti.io.observation_files import ambiguous_rods, load_observations
 from doo_ti.io.scene import Scene, Synthesis
 from doo_ti.rod.grid import parse_axis
 from doo_ti.rod.material import NEAR, UNITS_IN_MM, shares_of_rod, weight_per_length
@@ -104,6 +104,9 @@ def _columns(option: str, text: str) -> dict[str, str] | list[str]:
 def load(options: Namespace, source: str, without_lost: bool = False) -> Observations:
     """The observations of ``source``, all or without those of one mark or none."""
     observations = load_observations(source, options.up, options.unit, options.columns, without_lost)
+    if not without_lost and (unsure := np.flatnonzero(ambiguous_rods(source, observations.count))).size:
+        terminal.warn(f"{in_line(source)}: {counted(len(unsure), 'rod')}, first {observations.labels[unsure[0]]}: ambiguous in "
+                      "the images; leave them out (doo-ti convert --complete)")
     return observations if options.rest_length is None else _measured(observations, options.rest_length)
 
 

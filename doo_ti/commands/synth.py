@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from doo_ti.commands import doubts, given, loading, results
-from doo_ti.io.observation_files import read_recording, rows_with_marks, save_observations
+from doo_ti.io.observation_files import ambiguous_rods, read_recording, rows_with_marks, save_observations
 from doo_ti.io.scene import Scene, Synthesis, load_scene
 from doo_ti.io.toml_file import scene_file
 from doo_ti.rod.observations import Observations
@@ -31,7 +31,8 @@ def declare(add) -> None:
               "negative: 2:-2 leaves out two at either end (default: all)")
     given.add(parser, "--edges", "N", given.whole(2), "the curves through the marks on N equal edges: a finer mesh for relax, "
               "predict, simulate, steer, for instance past thin obstacles")
-    parser.add_argument("--complete", action="store_true", help="leave out observations with a missing mark")
+    parser.add_argument("--complete", action="store_true", help="leave out observations with a missing mark, "
+                        "and rods that perceive or track calls ambiguous")
     parser.add_argument("--motion", action="store_true", help="write a recording as one motion, positions_mm and rate_hz, with "
                         "the frames that --select names")
     loading.add_rate(parser)
@@ -63,14 +64,17 @@ def run_convert(options: Namespace) -> int:
         observations = observations.of_marks(kept)
     if options.complete:  # numbers stay those of the file, where some have no marks
         there = rows_with_marks(options.observations, options.columns)
-        rows = _rows(options.select, len(there))
-        rows = (np.cumsum(there) - 1)[rows[there[rows]]]
+        rows, unsure = _rows(options.select, len(there)), ambiguous_rods(options.observations, len(there)) & there
+        loaded = np.cumsum(there) - 1
+        left_out, rows = loaded[rows[unsure[rows]]], loaded[rows[there[rows] & ~unsure[rows]]]
         rows = rows[observations.valid[rows].all(axis=1)]
     else:
-        rows = _rows(options.select, observations.count)
+        rows, left_out = _rows(options.select, observations.count), []
     require(len(rows), options.observations, "observations", "none is left", "select others, or leave --complete out")
     doubts.warn(observations)
     print(" ".join(loading.rod_line(observations).split()))
+    if len(left_out):
+        print(f"left out    ambiguous in the images: {', '.join(map(str, observations.labels[left_out]))}")
     observations = observations.take(rows)
     _save(out, observations if edges is None else on_equal_edges(observations, edges))
     return 0

@@ -34,6 +34,7 @@ OWN = (".npz", *TABLES)  # suffixes of files that the package also writes
 OF_OTHERS = {".txt": read_polylines, ".xyz": read_polylines, ".xml": read_mujoco,
              ".usd": read_usd, ".usda": read_usd, ".usdc": read_usd}
 NAMES = ("name", "names")  # keys of an npz that name its observations, as those of perceive do
+VERDICT, LIKELY = "verdict", 1  # key of files of perceive and track; higher ones are ambiguous or not found
 WHOLE = ("rest_length", "up", "spacing_error")  # fields that are the same in all observations
 MOST_CSV_BYTES = 1 << 28  # reading CSV takes about fifteen times as much memory
 MOST_LEFT_OUT = 10  # frames of a recording in all for each that is there
@@ -144,6 +145,14 @@ def rows_with_marks(path: str | os.PathLike[str], columns: Mapping[str, str] | S
     """(D,) bool: which observations of a file :func:`load_observations` returns ``without_lost``."""
     keys = read_keys(Path(path), columns)[1]
     return _with_marks({name: keys[key] for name, key in KEYS.items() if key in keys})
+
+
+def ambiguous_rods(path: str | os.PathLike[str], count: int) -> np.ndarray:
+    """(D,) bool: which of ``count`` observations are rods of ``perceive`` or ``track`` that are neither clear nor likely."""
+    path = Path(path)
+    known = read_npz(path, read_content(path, remedy="name a readable file"), (VERDICT,)) if path.suffix == ".npz" else {}
+    verdict = known.get(VERDICT, np.zeros(0))
+    return verdict > LIKELY if verdict.shape == (count,) and verdict.dtype.kind == "i" else np.zeros(count, dtype=bool)
 
 
 def _with_marks(values: dict) -> np.ndarray:

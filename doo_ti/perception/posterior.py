@@ -35,12 +35,12 @@ the rod off the line: glints, cameras that disagree about where the thread is, b
 H_E is the Hessian of the rod's bending energy E over its stiffness. How strongly rods of this kind bend is taken from the rod
 itself: with J joints the mean of E is J T in a Gaussian density e^{−E/T}. Where images say little, as of the depth where
 cameras are close together, the rod's stiffness is all that is known, and sigma is large. Rest lengths count as exact, as do a
-seed whose σ is not given, and the rig where its errors do not keep the rod off the lines. As the start, so the rod as a whole
-may be farther along itself. An end that kinks as the rod does nowhere else follows what holds it: so uncertain its vertex is.
+seed whose σ is not given, and the rig where its errors do not keep the rod off the lines. Where the start may be farther along,
+the rod slides as a whole: its ends alone hold that. An end that kinks as the rod does nowhere else is that uncertain: it
+follows what holds it.
 
 Sensor noise alone moves detected points by about 0.02 px, over about 4 px of line; the default σ and ℓ of
-:class:`doo_ti.perception.search.PerceptionOptions` are larger, so that sigma is as large as the errors measured on renderings
-of known rods.
+:class:`doo_ti.perception.search.PerceptionOptions` are larger, as are errors on renderings of known rods.
 
 Axes: A rods of as many image sets, C cameras, E edges, V vertices, K places along an edge, S places along a rod, P = 3 + 2 E
 parameters: the place of the first vertex, and turns of the edges.
@@ -189,7 +189,7 @@ def _images_of_places(rig: Rig, vertices: np.ndarray) -> tuple[np.ndarray, np.nd
 
 def vertex_sigma(rig: Rig, vertices: np.ndarray, sigma_px: float, correlation_px: float, scatter: np.ndarray | float = 0.0,
                  detected: np.ndarray | None = None, start_covariance: np.ndarray | float = 0.0) -> np.ndarray:
-    """(A, V) mm: standard deviation of each vertex, root mean square over its three coordinates.
+    """(A, V) mm: standard deviation of each vertex, root mean square over x, y, z; of inner ones for a rod that does not slide.
 
     vertices                   (A, V, 3) mm: rods at minima of E_vis / B, isotropic and straight at rest
     sigma_px, correlation_px   σ and ℓ of the detection, at least
@@ -221,6 +221,9 @@ def vertex_sigma(rig: Rig, vertices: np.ndarray, sigma_px: float, correlation_px
         noise = np.maximum(measured, sigma_px**2 * correlation_px)
     covariance = np.linalg.inv(seen_once / noise[:, None, None] + stiff)
     variance = np.einsum("avxp,apq,avxq->av", moved, covariance, moved, optimize=True)
+    slid = np.einsum("apx,ax->ap", covariance[:, :, :3], ways[:, 0])
+    slid /= np.sqrt((slid[:, :3] * ways[:, 0]).sum(axis=1, keepdims=True))  # by one standard deviation
+    variance[:, 1:-1] -= (np.einsum("avxp,ap->avx", moved[:, 1:-1], slid) ** 2).sum(axis=-1)
     variance[:, [0, -1]] += (_kinks(tangents, length) * np.stack([free, np.ones_like(free)], axis=1)) ** 2
     if detected is not None:
         variance += _unseen_ends(detected, length, vertices, free[:, None]) ** 2

@@ -150,6 +150,11 @@ def test_observations_without_marks_and_outer_marks_are_left_out(tmp_path, capfd
     np.testing.assert_array_equal(found.rest_length, np.arange(2.0, rods.shape[1] - 1))
     succeeded(capfd, "convert rods.npz second.npz --select 2,0 --complete")  # numbered as in the file
     np.testing.assert_array_equal(load_observations("second.npz").vertices, rods[2:])
+    np.savez("rods.npz", name=list("abc"), vertices_mm=rods, verdict=np.array([1, 2, 0], np.int8))
+    assert "ambiguous in the images: b\n" in succeeded(capfd, "convert rods.npz likely.npz --complete")
+    assert load_observations("likely.npz").labels.tolist() == ["a", "c"]
+    succeeded(capfd, "convert rods.npz ambiguous.npz --select 1:2")
+    np.testing.assert_array_equal(load_observations("ambiguous.npz").vertices, rods[1:2])
 
 
 def test_marks_whose_frames_would_be_lost_stay(tmp_path, shipped_data, capfd):
