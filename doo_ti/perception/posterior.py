@@ -13,7 +13,8 @@ depth between cameras close together: the start where that is not exact, and the
 Places without points of their direction near them have no weight: the rod's stiffness alone bridges gaps. Nor have those nearer
 to an end of a line, or a gap, than it is wide, where edges of what holds or hides the thread draw it aside, those beyond, on
 lines far wider than the thread, those as near to other strands, and those where the line of some camera leaves the rod: the end
-of a rod longer than its lines else folds in depth, on the lines of other cameras.
+of a rod longer than its lines else folds in depth, on the lines of other cameras. Where the rod runs as near along itself, as
+in a hairpin, the line lies anywhere between both strands: it counts as if off by a width instead of h.
 
 A piece that one camera alone sees takes up what the rod is too long by: it bulges along the line of sight, and noise that the
 rod follows elsewhere keeps it from moving along the lines. Such rods are relaxed with 20 N and 20 h² first.
@@ -58,8 +59,8 @@ from doo_ti.rod.frames import across, normal_to
 from doo_ti.rod.shapes import end_clamps
 from doo_ti.rod.types import Clamp, Configuration, Material, Status, put_rods
 from doo_ti.vision.cameras import Rig
-from doo_ti.vision.detection import NEAR_PX, Detection, thinned
-from doo_ti.vision.distance_map import coverage, nearest_place, of_thread
+from doo_ti.vision.detection import NEAR_PX, Detection
+from doo_ti.vision.distance_map import coverage, of_thread
 from doo_ti.vision.image_energy import AssignedPoints
 from doo_ti.vision.paths import Lines, contradicted, line_trees, lines_at, merged
 
@@ -78,7 +79,6 @@ EXACT = 1e-8  # mm² and rad²: variance of a start that is given
 STEP_MM = 1e-3  # step of the difference quotients of the projection
 ROUNDS, LEAST_FREE = 6, 0.2  # rounds in which N and γ are found, and the least share of sections that a rod does not follow
 SECTION_PX = 20.0  # L
-ASIDE = 0.5  # least length of an end's image, over that in another camera, that says where the thread ends
 
 
 def sharpened(rods: Configuration, rig: Rig, detections: Sequence[Sequence[Detection]], material: Material, up: np.ndarray,
@@ -91,19 +91,20 @@ def sharpened(rods: Configuration, rig: Rig, detections: Sequence[Sequence[Detec
     nu = temperature(rods.vertices[:, ::pieces], marks, TURNING) / (2 * NOISE_PX3)
     (given, ways), (thread, lines, width) = _images_of_places(rig, rods.vertices), _lines_of(detections)
     end_weight = np.array([[NOISE_PX3 / detection.end_sigma**2 for detection in images] for images in detections])
-    others, kept = _counting(given, lines_at(given, ways, lines)[2], lines, width, exact)
+    share, kept = _counting(given, lines_at(given, ways, lines)[2], lines, width, exact)
     for loosely, moving in ((LOOSE, np.flatnonzero(_seen_once(kept))), (1.0, every)):
         for _ in range(RELAXATIONS):
             if not len(moving):
                 break
             here = Configuration(start, quaternions, rods.rest_length).take(moving)
             places, ways = _images_of_places(rig, here.vertices)
-            own, held = [lines[row] for row in moving], exact[moving]
+            own, held, part = [lines[row] for row in moving], exact[moving], share[moving]
             points, tangents, found = lines_at(places, ways, own)
-            shown = found & kept[moving] if loosely > 1 else _shown(places, found & ~others[moving], own, width[moving], held)
+            shown = found & kept[moving] if loosely > 1 else _shown(places, found & (part > 0), own, width[moving], held)
             square = tangents[..., ::-1] * [1.0, -1.0]
             off = ((places - points) * square).sum(axis=-1)
-            weight = shown * np.linalg.norm(ways, axis=-1) / len(PLACES) / (1 + (off / MERGED_PX) ** 2 / loosely) ** 2
+            weight = part * shown * np.linalg.norm(ways, axis=-1) / len(PLACES)
+            weight /= (1 + (off / MERGED_PX) ** 2 / loosely) ** 2
             slid, free = ((places - given[moving]) * tangents)[LAST].sum(axis=-1), 0.0 if loosely > 1 else width[moving, :, 0]
             too_far = found[LAST] & (np.abs(slid) > free)
             points[LAST] = given[moving][LAST] + np.clip(slid, -free, free)[..., None] * tangents[LAST]
@@ -126,9 +127,11 @@ def sharpened(rods: Configuration, rig: Rig, detections: Sequence[Sequence[Detec
 
 def _counting(places: np.ndarray, found: np.ndarray, lines: Lines, width: np.ndarray, exact: np.ndarray
               ) -> tuple[np.ndarray, np.ndarray]:
-    """(A, C, E, K) bool twice: ``places`` beside other strands, and those of the others that are :func:`_shown`."""
-    others = merged(places, inside_ends(places, found, width, exact), lines, width)
-    return others, _shown(places, found & ~others, lines, width, exact)
+    """(A, C, E, K) twice: the share that ``places`` count, none beside other strands, and bool: those that do and are
+    :func:`_shown`."""
+    others, itself = merged(places, inside_ends(places, found, width, exact), lines, width)
+    share = np.where(itself, (MERGED_PX / np.maximum(width, MERGED_PX)[..., None]) ** 2, 1.0) * ~others
+    return share, _shown(places, found & ~others, lines, width, exact)
 
 
 def _shown(places: np.ndarray, found: np.ndarray, lines: Lines, width: np.ndarray, exact: np.ndarray) -> np.ndarray:
@@ -301,27 +304,13 @@ def _movement_across(rig: Rig, vertices: np.ndarray, ways: np.ndarray, moved: np
     return across_image.reshape(len(vertices), -1, across_image.shape[-1]), share.reshape(len(vertices), -1)
 
 
-def shown_length(rods: Configuration, rig: Rig, detections: Sequence[Sequence[Detection]]) -> np.ndarray:
-    """(A,) mm from the start of each rod to where the lines along it end, in the camera where that is farthest, of those that
-    do not look along the rod's end."""
-    images = np.nan_to_num(rig.project(rods.vertices), nan=-1e6)
-    last = np.zeros(images.shape[:2])
-    for c, row in np.ndindex(last.shape):
-        place, far = nearest_place(thinned(of_thread(detections[row][c]))[0], images[c, row])
-        last[c, row] = place[~far].max(initial=0.0)
-    end = np.linalg.norm(images[:, :, -1] - images[:, :, -2], axis=-1)
-    edges, lengths = np.where(end >= ASIDE * end.max(axis=0), last, 0.0).max(axis=0), np.atleast_2d(rods.rest_length)
-    arcs = np.broadcast_to(np.pad(np.cumsum(lengths, axis=1), ((0, 0), (1, 0))), (len(edges), images.shape[2]))
-    return np.array([np.interp(place, np.arange(len(arc)), arc) for place, arc in zip(edges, arcs, strict=True)])
-
-
 def detected_places(rig: Rig, vertices: np.ndarray, pieces: int, detections: Sequence[Sequence[Detection]]
                     ) -> tuple[np.ndarray, np.ndarray]:
     """Of rods ``vertices`` (A, V, 3) mm whose edges are cut into ``pieces``: (A, C S) the share that was detected of the image
     around each place, as :func:`sharpened` takes the lines, and (A,) px³: Q of all cameras there."""
     (places, ways), (_, lines, width) = _images_of_places(rig, vertices), _lines_of(detections)
     (points, tangents, found), exact = lines_at(places, ways, lines), np.zeros(len(vertices), dtype=bool)
-    shown = _counting(places, found, lines, width, exact)[1]
+    share, shown = _counting(places, found, lines, width, exact)
     length = np.linalg.norm(ways, axis=-1) / len(PLACES)
     section = (np.cumsum(length.reshape(*length.shape[:2], -1), axis=2).reshape(length.shape) / SECTION_PX).astype(np.int64)
     there = _between(found.reshape(*found.shape[:2], -1)).reshape(found.shape)
@@ -331,7 +320,7 @@ def detected_places(rig: Rig, vertices: np.ndarray, pieces: int, detections: Seq
         total, mean = (np.bincount(section[row, c].ravel(), one[row, c].ravel()) for one in (weight, moment))
         squares[row].append((mean / np.maximum(total, 1e-9))[total > SECTION_PX / 2] ** 2)
     scatter = SECTION_PX * np.array([sum(map(np.sum, one)) / max(sum(map(len, one)) - 1, 1) for one in squares])
-    return shown.reshape(len(shown), -1, pieces).mean(axis=-1), scatter
+    return (share * shown).reshape(len(shown), -1, pieces).mean(axis=-1), scatter
 
 
 def bending_hessian(turns: np.ndarray, length: np.ndarray) -> np.ndarray:

@@ -17,7 +17,7 @@ import numpy as np
 
 from doo_ti.contact.surroundings import Surroundings
 from doo_ti.perception.growth import Hypotheses, sampled_directions, select_hypotheses, suppress_similar
-from doo_ti.perception.posterior import detected_places, shown_length, vertex_sigma
+from doo_ti.perception.posterior import detected_places, vertex_sigma
 from doo_ti.perception.traced import SAME_LENGTH, whole_rods
 from doo_ti.relaxation.newton import Newton
 from doo_ti.relaxation.relax import relax
@@ -26,7 +26,8 @@ from doo_ti.rod.types import Clamp, Clamps, Configuration, Material, Solution, S
 from doo_ti.system.arguments import typed
 from doo_ti.system.errors import InputError, require_whole
 from doo_ti.vision.cameras import Rig
-from doo_ti.vision.distance_map import Coverage, DistanceMaps, coverage
+from doo_ti.vision.detection import thinned
+from doo_ti.vision.distance_map import Coverage, DistanceMaps, coverage, nearest_place, of_thread
 from doo_ti.vision.image_energy import Reprojection
 from doo_ti.vision.score import Score, score
 
@@ -35,6 +36,7 @@ LOST = 1e30  # 1/mm: E_vis of a rod that failed while growing. Its start is kept
 CONVINCING, CLOSE_PX = 0.98, 0.5
 """A rod that grew is convincing if it explains this share of the detected line in every camera, and rod and line are this close
 to each other on average. No rods are traced in a set that has one: tracing takes longer than the whole search."""
+ASIDE = 0.5  # least length of an end's image, over that in another camera, that says where the thread ends
 WIDE = np.radians(20.0)
 """Least angle between two cameras for that. Between closer ones a rod of a wrong length, or one folded along the line of sight,
 explains the images as well."""
@@ -219,9 +221,19 @@ class Search:
         return np.hypot(vertex_sigma(self.rig, marks, *noise, scatter, detected, start_covariance), beyond / np.sqrt(3))
 
     def shown_length(self, rods: Configuration) -> np.ndarray:
-        """(A,) mm of one rod of each set, to where the lines end; NaN where detections are unknown."""
-        known = self.maps.detections is not None
-        return shown_length(rods, self.rig, self.maps.detections) if known else np.full(len(rods.start), np.nan)
+        """(A,) mm from the start of one rod of each set to where the lines along it end, in the camera where that is farthest,
+        of those that do not look along the rod's end; NaN where detections are unknown."""
+        images = np.nan_to_num(self.rig.project(rods.vertices), nan=-1e6)
+        if self.maps.detections is None:
+            return np.full(images.shape[1], np.nan)
+        last = np.zeros(images.shape[:2])
+        for c, row in np.ndindex(last.shape):
+            place, far = nearest_place(thinned(of_thread(self.maps.detections[row][c]))[0], images[c, row])
+            last[c, row] = place[~far].max(initial=0.0)
+        end = np.linalg.norm(images[:, :, -1] - images[:, :, -2], axis=-1)
+        edges, lengths = np.where(end >= ASIDE * end.max(axis=0), last, 0.0).max(axis=0), np.atleast_2d(rods.rest_length)
+        arcs = np.broadcast_to(np.pad(np.cumsum(lengths, axis=1), ((0, 0), (1, 0))), (len(edges), images.shape[2]))
+        return np.array([np.interp(place, np.arange(len(arc)), arc) for place, arc in zip(edges, arcs, strict=True)])
 
     def seen(self, points: int, nu: float, cap: float) -> Reprojection:
         """ν Σ E_proj in the units of the rod's energy."""

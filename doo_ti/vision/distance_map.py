@@ -262,7 +262,7 @@ def misread(rig: Rig, vertices: np.ndarray, detections: list[list[Detection]]) -
             outside[row, c] = (far & alone).mean()
             skipped[row, c] = _longest_piece(points[far & ~alone & between]) / detection.width_px
             left[row, c] = left_out(points, far & ~alone).sum()
-            twice[row, c] = _passed_twice(image) / detection.width_px
+            twice[row, c] = beside_itself(image, SAME_PX, FAR_PX).sum() / 2 / detection.width_px
             place, far = nearest_place(detection.points, image)
             depth = camera.depth(rod)[place.astype(int)]
             diameter = np.median((detection.widths * depth)[~far]) if not far.all() else np.inf  # in px at unit depth
@@ -281,18 +281,19 @@ def nearest_place(points: np.ndarray, image: np.ndarray) -> tuple[np.ndarray, np
     return edge + along[every, edge], apart[every, edge] > NEAR_PX**2
 
 
-def _passed_twice(image: np.ndarray) -> float:
-    """px of a rod's ``image`` (V, 2) that lie on another part of it, and along it."""
+def beside_itself(image: np.ndarray, near: float, apart: float) -> np.ndarray:
+    """(L,) bool at each px along a rod's ``image`` (V, 2): another part of it, more than ``apart`` px away along the rod, runs
+    along it within ``near`` px. (1,) False where the image is shorter than that, or too long."""
     arc = arc_lengths(image)
-    if not FAR_PX <= arc[-1] <= MOST_IMAGE_PX:
-        return 0.0
+    if not apart <= arc[-1] <= MOST_IMAGE_PX:
+        return np.zeros(1, dtype=bool)
     points = placed(np.arange(arc[-1]), arc, image)
-    one, other = cKDTree(points).query_pairs(SAME_PX, output_type="ndarray").T
+    one, other = cKDTree(points).query_pairs(near, output_type="ndarray").T
     way = np.gradient(points, axis=0)
     alike = np.abs((way[one] * way[other]).sum(axis=1)) > ALIKE * np.linalg.norm(way[one], axis=1) * np.linalg.norm(
         way[other], axis=1)
-    twice = alike & (np.abs(other - one) > FAR_PX)
-    return len(np.unique([one[twice], other[twice]])) / 2
+    twice = alike & (np.abs(other - one) > apart)
+    return np.isin(np.arange(len(points)), [one[twice], other[twice]])
 
 
 def _longest_piece(points: np.ndarray) -> int:

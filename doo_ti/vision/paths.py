@@ -20,14 +20,12 @@ from doo_ti.rod.frames import arc_lengths, curve_length, placed, unit_vectors
 from doo_ti.rod.types import Configuration
 from doo_ti.vision.cameras import Rig
 from doo_ti.vision.detection import NEAR_PX, NEXT_PX, SHORTEST_PX, Detection, chains_of, outward, single, thinned
-from doo_ti.vision.distance_map import ALIKE, MOST_IMAGE_PX, left_out, nearest_place
+from doo_ti.vision.distance_map import ALIKE, MOST_IMAGE_PX, beside_itself, left_out, nearest_place
 
 WIDEST_GAP = 0.3  # of the image's height: the longest gap that a path crosses
 FORWARD = 0.64  # least cosine between the direction of an end and the way to the next
 TURNING = 2.0  # cost in lengths of a gap for each rad that the thread would turn in it
-CORNER_PX = 8.0
-"""Ends this near to each other are joined whatever their directions: a thread that comes towards the camera and goes back has a
-corner in the image."""
+CORNER_PX = 8.0  # ends this near are joined whatever their directions: a thread towards the camera and back has a corner
 CLOSE_PX = 2.0  # a shorter gap has no direction
 BESIDE_PX = 6.0  # an end this near to the inside of another chain divides it, so that a path may change over
 AGAINST = 0.5
@@ -35,6 +33,8 @@ AGAINST = 0.5
 camera says little."""
 CROSSING_PX, NEIGHBOURS = 1.5, 12  # chains cross where points are this near that are so many apart along one chain
 ALIKE_PX = 4.0  # mean distance below which two paths are the same
+SHARP = 0.5  # cosine by which an image turns within a width of a place whose line cuts the bend
+TURN = 2.0  # px of image between two parts of a rod that merge, over how near they are: half a turn has π/2
 MOST_JOINTS, MOST_TRIED = 4, 400  # ends that an end is joined to, and parts of paths that are looked at
 
 
@@ -248,8 +248,7 @@ def thread_beyond(rig: Rig, rods: Configuration, detections: Sequence[Sequence[D
                   ) -> np.ndarray:
     """(A, 2) mm of thread that may go on beyond rods' starts, of those ``from_start`` (A,) bool, and beyond their ends: in the
     camera that shows most, at the scale of the rod's image. Behind a wide gap two cameras must show it: one may show anything.
-    There it is the gain of both together that counts, as the piece behind the gap may be short in one of them.
-    """
+    There it is the gain of both together that counts, as the piece behind the gap may be short in one of them."""
     beyond, images = np.zeros((len(detections), 2, len(rig.cameras), 3)), rig.project(rods.vertices)
     for c, row in np.ndindex(images.shape[:2]):
         line, wide = Chains.of(detections[row][c]), max(NEAR_PX, detections[row][c].width_px)
@@ -332,14 +331,19 @@ def contradicted(places: np.ndarray, found: np.ndarray, lines: Lines) -> np.ndar
     return against
 
 
-def merged(places: np.ndarray, inside: np.ndarray, lines: Lines, width: np.ndarray) -> np.ndarray:
-    """(A, C, E, K) bool: ``places`` (A, C, E, K, 2) px within the ``width`` (A, C, 1) px of the line of other strands, which
-    merge with it and draw it aside: those beside places ``inside`` the rod's line. Elsewhere it leaves its own line."""
-    near = np.zeros(inside.shape, dtype=bool)
-    for row, c in np.ndindex(near.shape[:2]):
-        points = lines[row][c][0]
-        nearest, far = nearest_place(points, places[row, c].reshape(-1, 2))
+def merged(places: np.ndarray, inside: np.ndarray, lines: Lines, width: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(A, C, E, K) bool twice: ``places`` (A, C, E, K, 2) px within the ``width`` (A, C, 1) px of the line of other strands,
+    and those as near along another part of the rod, or in bends as sharp: their lines merge, between both. Other strands are
+    those beside places ``inside`` the rod's line; elsewhere it leaves its own line."""
+    others, itself = np.zeros((2, *inside.shape), dtype=bool)
+    for row, c in np.ndindex(inside.shape[:2]):
+        points, image, reach = lines[row][c][0], places[row, c].reshape(-1, 2), NEAR_PX + width[row, c, 0]
+        nearest, far = nearest_place(points, image)
         other = points[far & inside[row, c].ravel()[np.rint(nearest).astype(int)]]
         if len(other):
-            near[row, c] = cKDTree(other).query(places[row, c])[0] <= NEAR_PX + width[row, c]
-    return near
+            others[row, c] = cKDTree(other).query(places[row, c])[0] <= reach
+        twice, arc = beside_itself(image, reach, TURN * reach), arc_lengths(image)
+        before, after = (way * (placed(arc + way * width[row, c, 0], arc, image) - image) for way in (-1, 1))
+        bent = (before * after).sum(axis=1) < SHARP * np.linalg.norm(before, axis=1) * np.linalg.norm(after, axis=1)
+        itself[row, c].flat = bent | twice[np.minimum(arc, len(twice) - 1).astype(int)]
+    return others, itself
