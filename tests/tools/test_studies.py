@@ -18,7 +18,7 @@ from tests.perception.test_twist import MATERIAL, TWIST
 from tests.processes import ROOT
 from tests.references.rods import at_rest, bows, observed
 from tests.relaxation.rods import lab
-from tools.studies import reproduce
+from tools.studies import picture_study, reproduce
 from tools.studies.cables import read_recordings
 from tools.studies.prediction_study import predict_steps
 from tools.studies.replication.criteria import CRITERIA
@@ -32,6 +32,13 @@ def test_trials_of_eq_4_rotate_known_frames_and_find_the_angle():
     assert trials.configurations.shape == (5, 3) and (np.diff(np.sort(trials.configurations)) > 0).all()
     assert np.ptp(trials.truth) > 1 and trials.error.max() < np.radians(1.5)
     np.testing.assert_array_equal(again.estimate.phi, trials.estimate.phi)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [2016, 2021])
+def test_ten_photographs_tell_the_stiffness(seed, capsys):
+    """One pose of either is seen along its end: it is ambiguous, or a hairpin 5 px wide."""
+    assert picture_study.main(["--specimens", "1", "--seed", f"{seed}"]) == 0, capsys.readouterr().out
 
 
 @pytest.mark.thorough

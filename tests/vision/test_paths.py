@@ -6,7 +6,7 @@ import pytest
 from doo_ti.rod.frames import arc_lengths, curve_length, placed, unit_vectors
 from doo_ti.rod.shapes import rod_along
 from doo_ti.vision.detection import Detection
-from doo_ti.vision.paths import Chains, paths_from, thread_beyond
+from doo_ti.vision.paths import Chains, line_trees, merged, paths_from, thread_beyond
 from doo_ti.vision.tubes import smooth_curve
 from tests.vision.scenes import bow, line_of, small_rig
 
@@ -99,3 +99,20 @@ def test_thread_beyond_a_rod_is_found_joined_or_behind_gaps_in_two_cameras_and_o
     assert beyond(rest, nothing) == pytest.approx([0, curve_length(rest)], rel=0.2) and beyond(behind, behind)[1] > 15
     assert beyond(rest, rest, backwards=True)[0] > 0.8 * curve_length(rest)
     assert max(beyond(*more).max() for more in ((nothing, nothing), (across, across), (curve[960:], nothing))) < 1.0
+
+
+def test_where_a_line_merges_with_that_of_the_same_rod():
+    """Strands 5 px apart of a thread 4 px wide, and a corner; not where strands cross, nor in a wide bend."""
+    s = np.linspace(0, np.pi, 40)
+    bend = [220, 102.5] + 2.5 * np.stack([np.sin(s), -np.cos(s)], axis=1)
+    hairpin = np.concatenate([np.linspace([100, 100], [220, 100], 40), bend,
+                              np.linspace([220, 105], [180, 105], 14), np.linspace([176, 108], [100, 180], 40)])
+    corner = np.linspace([296, 285], [301, 320], 8)  # its strands are less than 7 px apart from there on
+    for curve, expected in ((WAVE, []), (LOOP, []), (CORNER, corner), (hairpin, np.linspace([180, 105], [220, 100], 9))):
+        arc = arc_lengths(curve)
+        places = placed(np.linspace(0, arc[-1], 400).reshape(1, 1, 200, 2), arc, curve)
+        lines = line_trees([[line_of(curve, unit_vectors(np.gradient(curve, axis=0)), 4.0, SHAPE)]])
+        others, itself = merged(places, np.ones(places.shape[:-1], bool), lines, np.full((1, 1, 1), 4.0))
+        far = np.linalg.norm(places[itself][:, None] - np.reshape(expected, (-1, 2)), axis=-1)
+        assert not others.any() and itself.any() == bool(len(expected))
+        assert not len(expected) or far.min(axis=0).max() < 6 and far.min(axis=1).max() < 12
