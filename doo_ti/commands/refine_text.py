@@ -200,10 +200,13 @@ def interval_text(converged: bool, value: float, low: float | None, high: float 
 
 
 def _adequacy_lines(summary: dict) -> list[str]:
-    from doo_ti.refinement.adequacy import EXCESS
+    from doo_ti.refinement.adequacy import EXCESS, TOGETHER
 
     source = "stated" if summary["sigma_stated"] else "learned"
-    if summary["reaches_noise"]:
+    if summary["reaches_noise"] and summary["neighbour_correlation"] > TOGETHER:
+        left = (f"no larger than the noise, but neighbouring marks are off together (correlation "
+                f"{summary['neighbour_correlation']:.2g}), as by cameras that are; intervals leave that out")
+    elif summary["reaches_noise"]:
         left = "only noise is left"
     elif summary["sigma_stated"] and summary["excess"] > EXCESS:
         left = f"{summary['excess']:.3g} times the stated noise: it is larger, or the model lacks something"

@@ -37,6 +37,7 @@ from doo_ti.rod.start import observation_clamps, reachable
 from doo_ti.rod.types import Clamp
 
 NOTABLE = 0.5  # times the noise: smaller gaps are not reported
+TOGETHER = 0.5  # correlation of neighbours' residuals: in photographs -0.1 to 0.3, with a rig half a pixel off 0.6 to 0.8
 EXCESS = 1.5  # times the stated σ: if residuals are larger, σ is too small or the model is wrong
 WORTH = 6.0  # −2 ln of the evidence: an extension that lowers it by more is worth trying
 SEARCH_STEPS = 15  # for the sizes of an extension

@@ -66,6 +66,7 @@ def summary(rivals, difference, curvature, unknowns=("bend", "twist")) -> dict:
             "stiffness_along": {"factor": [1.0, 1.0], "root_mean_square": 0.0},
             "clamp_errors": {"turn_deg": (0, 0), "turn_scatter_deg": 0}, "swivels": False, "obstacles": None, "loaded": False,
             "mean_distance_mm": 0.1, "sigma_mm": 0.1, "sigma_stated": False, "reaches_noise": True, "advice": [],
+            "neighbour_correlation": 0.1,
             "other_up": None, "turns_open": False, "left_out": {}, "misfits": [], "mislabelled": [], "sensitive": [],
             "models": [{"model": "straight", "difference": difference, "error": 0.56}], "held_out": None, "roll_kept_deg": None}
 
@@ -82,6 +83,8 @@ def test_what_is_printed_agrees_with_itself():
     for high, said in ((2e7, False), (None, True)):
         bend = {"name": "bend", "value": 1e7, "low": 1e6, "high": high, "unit": "mm³"}
         assert ("check --up" in "\n".join(summary_lines(summary([], -2.28, 0.0) | {"parameters": [bend]}))) is said
+    for correlation, words in ((0.1, "only noise is left"), (0.7, "off together (correlation 0.7)")):
+        assert words in "\n".join(summary_lines(summary([], -2.28, 0.0) | {"neighbour_correlation": correlation}))
     advice = {"option": "--parameters bend-1,bend-2,twist", "meaning": "a section that is not round"}
     for gain, said in ((20.0, False), (120.0, True)):
         text = "\n".join(summary_lines(summary([], -2.28, 0.0) | {"advice": [advice | {"gain": gain}]}))
