@@ -204,8 +204,8 @@ def _adequacy_lines(summary: dict) -> list[str]:
 
     source = "stated" if summary["sigma_stated"] else "learned"
     if summary["reaches_noise"] and summary["neighbour_correlation"] > TOGETHER:
-        left = (f"no larger than the noise, but neighbouring marks are off together (correlation "
-                f"{summary['neighbour_correlation']:.2g}), as where a rig is off; intervals leave that out")
+        left = ("no larger than the noise, but neighbouring marks are off together (correlation "
+                f"{summary['neighbour_correlation']:.2g}), for instance by an error of calibration; intervals leave that out")
     elif summary["reaches_noise"]:
         left = "only noise is left"
     elif summary["sigma_stated"] and summary["excess"] > EXCESS:

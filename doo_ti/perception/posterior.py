@@ -13,8 +13,8 @@ depth between cameras close together: the start where that is not exact, and the
 Places without points of their direction near them have no weight: the rod's stiffness alone bridges gaps. Nor have those nearer
 to an end of a line, or a gap, than it is wide, where edges of what holds or hides the thread draw it aside, those beyond, on
 lines far wider than the thread, those as near to other strands, and those where the line of some camera leaves the rod: the end
-of a rod longer than its lines else folds in depth, on the lines of other cameras. Where the rod runs as near along itself, as
-in a hairpin, the line lies anywhere between both strands: it counts as if off by a width instead of h.
+of a rod longer than its lines else folds in depth, on the lines of other cameras. Where the rod runs as close to itself,
+as in a hairpin, or bends as sharply, the line lies somewhere between both strands: such places count (h / width)².
 
 A piece that one camera alone sees takes up what the rod is too long by: it bulges along the line of sight, and noise that the
 rod follows elsewhere keeps it from moving along the lines. Such rods are relaxed with 20 N and 20 h² first.

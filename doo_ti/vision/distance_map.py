@@ -293,7 +293,9 @@ def beside_itself(image: np.ndarray, near: float, apart: float) -> np.ndarray:
     alike = np.abs((way[one] * way[other]).sum(axis=1)) > ALIKE * np.linalg.norm(way[one], axis=1) * np.linalg.norm(
         way[other], axis=1)
     twice = alike & (np.abs(other - one) > apart)
-    return np.isin(np.arange(len(points)), [one[twice], other[twice]])
+    beside = np.zeros(len(points), dtype=bool)
+    beside[one[twice]] = beside[other[twice]] = True
+    return beside
 
 
 def _longest_piece(points: np.ndarray) -> int:

@@ -25,7 +25,7 @@ from doo_ti.vision.distance_map import ALIKE, MOST_IMAGE_PX, beside_itself, left
 WIDEST_GAP = 0.3  # of the image's height: the longest gap that a path crosses
 FORWARD = 0.64  # least cosine between the direction of an end and the way to the next
 TURNING = 2.0  # cost in lengths of a gap for each rad that the thread would turn in it
-CORNER_PX = 8.0  # ends this near are joined whatever their directions: a thread towards the camera and back has a corner
+CORNER_PX = 8.0  # ends this near are joined whatever their directions: a thread turning back at the camera has a corner
 CLOSE_PX = 2.0  # a shorter gap has no direction
 BESIDE_PX = 6.0  # an end this near to the inside of another chain divides it, so that a path may change over
 AGAINST = 0.5
@@ -33,8 +33,8 @@ AGAINST = 0.5
 camera says little."""
 CROSSING_PX, NEIGHBOURS = 1.5, 12  # chains cross where points are this near that are so many apart along one chain
 ALIKE_PX = 4.0  # mean distance below which two paths are the same
-SHARP = 0.5  # cosine by which an image turns within a width of a place whose line cuts the bend
-TURN = 2.0  # px of image between two parts of a rod that merge, over how near they are: half a turn has π/2
+SHARP = 0.5  # cosine of the turn from a width before a place to a width after it: lines cut sharper bends short
+TURN = 2.0  # lines of two parts of a rod merge that are farther apart along it than this times their distance; half a turn: π/2
 MOST_JOINTS, MOST_TRIED = 4, 400  # ends that an end is joined to, and parts of paths that are looked at
 
 
@@ -333,8 +333,8 @@ def contradicted(places: np.ndarray, found: np.ndarray, lines: Lines) -> np.ndar
 
 def merged(places: np.ndarray, inside: np.ndarray, lines: Lines, width: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """(A, C, E, K) bool twice: ``places`` (A, C, E, K, 2) px within the ``width`` (A, C, 1) px of the line of other strands,
-    and those as near along another part of the rod, or in bends as sharp: their lines merge, between both. Other strands are
-    those beside places ``inside`` the rod's line; elsewhere it leaves its own line."""
+    and those where the rod itself runs as close to another part of it, or bends too sharply: there one line lies between both.
+    Other strands are those beside places ``inside`` the rod's line; elsewhere it leaves its own line."""
     others, itself = np.zeros((2, *inside.shape), dtype=bool)
     for row, c in np.ndindex(inside.shape[:2]):
         points, image, reach = lines[row][c][0], places[row, c].reshape(-1, 2), NEAR_PX + width[row, c, 0]

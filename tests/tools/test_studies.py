@@ -92,9 +92,8 @@ def test_studies_run(words, monkeypatch):
 
 
 def test_cables_for_pictures_hang(rng):
-    from tools.studies.picture_study import LENGTH, pose
-
-    assert np.linalg.norm(np.diff(pose(rng, -30.0, 0.7), axis=0), axis=-1).sum() == pytest.approx(LENGTH, rel=1e-6)
+    length = np.linalg.norm(np.diff(picture_study.pose(rng, -30.0, 0.7), axis=0), axis=-1).sum()
+    assert length == pytest.approx(picture_study.LENGTH, rel=1e-6)
 
 
 DOCUMENTS = [*sorted((ROOT / "docs").rglob("*.md")),
